@@ -1026,11 +1026,13 @@ def scan_landmarks(
     *,
     out: str | os.PathLike[str],
     overwrite: bool = False,
+    component: str | None = None,
     picture: str | os.PathLike[str] | None = None,
 ) -> ScanLandmarksReport:
     """Find the landmarks of a scanned face: `facepipe scan-landmarks`.
 
     :param scan: mesh or point cloud
+    :param component: look at one mesh, object or group of the file alone, by its name
     :param picture: draw the scan with its landmarks, from three sides
     :param out: landmark file to write: .json
     :param overwrite: put it in place of a file that is there

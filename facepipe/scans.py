@@ -57,6 +57,25 @@ class SurfaceColors(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ScanHints:
+    """What a file says of its triangles that helps to find a face among them."""
+
+    pieces: tuple[str, ...] = ()  # names of meshes, objects or groups
+    piece: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (t,) into `pieces`, -1: of none
+    head: npt.NDArray[np.bool_] | None = None  # (t,) those that the joint of a head carries
+    # (3, 3) the person's left and right eye, and the mouth, where shapes of such names move points; NaN: unknown.
+    features: FloatArray | None = None
+    swapped: bool = False  # names say left of what lies right of the face, and right of what lies left
+    mm_per_unit: float | None = None  # None: the file has no unit
+    vertices: Mapping[str, FloatArray] = field(default_factory=dict)  # mesh -> (v, 3) points in the file's order
+
+    def on_triangles(self, kept: npt.NDArray[np.bool_]) -> ScanHints:
+        """Those of the triangles marked in `kept` (t,)."""
+        piece = self.piece[kept] if len(self.piece) else self.piece
+        return replace(self, piece=piece, head=None if self.head is None else self.head[kept])
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scan:
     """One scanned surface, or a cloud of points."""
 
@@ -67,6 +86,7 @@ class Scan:
     colors: FloatArray | None = None  # (n, 3) linear 0..1
     texture: ScanTexture | None = None  # on the file's triangles: what mends triangles drops it
     photos: SurfaceColors | None = None  # before other colours, where they show the surface
+    hints: ScanHints = field(default_factory=ScanHints)  # of the file's triangles, too
     warnings: tuple[str, ...] = ()  # of the reader, one line each
 
     @property

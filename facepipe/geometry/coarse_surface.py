@@ -25,10 +25,7 @@ class Look:
 
 def coarse_look(look: Look, cell: float) -> Look:
     """The surface with one point for each cell of a grid that has some; `cell` is its side."""
-    numbers = np.floor((look.points - look.points.min(axis=0)) / cell).astype(np.int64)
-    spans = numbers.max(axis=0) + 1
-    key = (numbers[:, 0] * spans[1] + numbers[:, 1]) * spans[2] + numbers[:, 2]
-    group = np.unique(key, return_inverse=True)[1].reshape(-1)
+    group = grid_groups(look.points, cell)
     count = int(group.max()) + 1
     share = 1.0 / np.bincount(group)[:, None]
     points = group_sums(group, look.points, count) * share
@@ -41,6 +38,14 @@ def coarse_look(look: Look, cell: float) -> Look:
         normals=unit_vectors(group_sums(group, look.normals, count)),
         colors=None if look.colors is None else group_sums(group, look.colors, count) * share,
     )
+
+
+def grid_groups(points: FloatArray, cell: float) -> IntArray:
+    """(n,) the number of the cell that each of points (n, 3) lies in, of a grid's cells that have some."""
+    numbers = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
+    spans = numbers.max(axis=0) + 1
+    key = (numbers[:, 0] * spans[1] + numbers[:, 1]) * spans[2] + numbers[:, 2]
+    return np.asarray(np.unique(key, return_inverse=True)[1].reshape(-1))
 
 
 def surface_look(points: FloatArray, triangles: IntArray, colors: FloatArray | None) -> Look:

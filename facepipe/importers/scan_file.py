@@ -1,7 +1,8 @@
-"""Scans from files: PLY, OBJ, STL, OFF, glTF and USD, meshes or point clouds.
+"""Scans from files: PLY, OBJ, STL, OFF, glTF, VRM, FBX and USD, meshes or point clouds.
 
 Coordinates, and so the unit, are those of the file, in its world space. Points at one place are one point, so that
-seams of texture coordinates don't tear the surface. Skins, shapes and animations of a file are left out.
+seams of texture coordinates don't tear the surface. Skins, shapes and animations of a file are left out, but for what
+they say of where the face is.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ from facepipe.core.reading import read_bytes
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import merge_points, point_triangles, triangulate
 from facepipe.geometry.vectors import transformed
-from facepipe.importers import load
+from facepipe.importers import kind_of, load
 from facepipe.importers.scan_ply import read_ply
 from facepipe.importers.wavefront import MAX_BYTES, material_faces, read_materials, read_obj, read_text
 from facepipe.parts import Material, Mesh, TextureInput, UvSet
-from facepipe.scans import Scan, ScanPicture, ScanTexture
+from facepipe.scans import Scan, ScanHints, ScanPicture, ScanTexture
 
+USD = (".usda", ".usdc", ".usd", ".usdz")
 _NOWHERE = logging.NullHandler()
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
 _NEXT_SOLID = re.compile(rb"endsolid[^\n]*\n\s*solid[^\n]*", re.IGNORECASE)
@@ -101,7 +103,7 @@ def _read(path: Path, data: bytes, kind: str, triangles: int) -> Scan:
 
 
 def read_scan(path: Path) -> Scan:
-    """The scan in `path`: PLY, OBJ, STL, OFF, glTF or USD, by its suffix (`READERS`).
+    """The scan in `path`: PLY, OBJ, STL, OFF, glTF, VRM, FBX or USD, by its suffix (`READERS`).
 
     Colours come from the points, or else from the texture or colour of the material at each point.
 
@@ -113,6 +115,8 @@ def read_scan(path: Path) -> Scan:
         raise InputError(path, f"suffix '{path.suffix}', expected one of {', '.join(READERS)}")
     try:
         scan = READERS[path.suffix.lower()](path)
+        if not scan.hints.vertices:
+            scan = replace(scan, hints=replace(scan.hints, vertices={"": scan.points}))
         # points at one place are one point, with the first one's normal and colour; triangles that collapse are dropped
         first, of_point = merge_points(scan.points)
         if len(first) < len(scan.points):
@@ -128,6 +132,7 @@ def read_scan(path: Path) -> Scan:
                 normals=None if scan.normals is None else scan.normals[first],
                 colors=None if scan.colors is None else scan.colors[first],
                 texture=None if scan.texture is None else scan.texture.on_triangles(whole),
+                hints=scan.hints.on_triangles(whole),
             )
     except FacepipeError as error:
         raise error if str(path) in str(error) else error.under(path) from None
@@ -155,13 +160,20 @@ def _read_obj(path: Path) -> Scan:
         material_faces=material_faces(obj.materials, obj.face_material),
     )
     materials = {name: one for name, one in library.materials.items() if name in obj.materials}
-    return replace(scan_of([mesh], materials, path.stem), warnings=tuple(library.warnings))
+    # groups divide an object further, where a file has both
+    names, of_face = (obj.groups, obj.face_group) if len(obj.groups) > 1 else (obj.objects, obj.face_object)
+    piece = of_face[triangulate(obj.face_vertex_counts).faces]
+    hints = ScanHints(pieces=names, piece=piece, vertices={"": obj.points})
+    return replace(scan_of([mesh], materials, path.stem), warnings=tuple(library.warnings), hints=hints)
 
 
 def _read_face(path: Path) -> Scan:
-    imported = load("gltf" if path.suffix.lower() in (".glb", ".gltf") else "usd", path)
+    from facepipe.importers.scan_hints import hints_of
+
+    imported = load("usd" if path.suffix.lower() in USD else kind_of(path), path)
     materials = {material.name: material for material in imported.parts.materials}
-    return replace(scan_of(list(imported.parts.meshes), materials, path.stem), warnings=imported.warnings)
+    scan = scan_of(list(imported.parts.meshes), materials, path.stem)
+    return replace(scan, warnings=imported.warnings, hints=hints_of(imported.parts))
 
 
 def scan_of(meshes: Sequence[Mesh], materials: Mapping[str, Material], name: str) -> Scan:
@@ -229,7 +241,7 @@ READERS: dict[str, Callable[[Path], Scan]] = {
     ".obj": _read_obj,
     ".stl": read_stl,
     ".off": read_off,
-    **dict.fromkeys((".glb", ".gltf", ".usda", ".usdc", ".usd", ".usdz"), _read_face),
+    **dict.fromkeys((".glb", ".gltf", ".vrm", ".fbx", *USD), _read_face),
 }
 
 

@@ -44,6 +44,7 @@ _END = re.compile(rb"[\r\n]end_header[ \t]*(?:\r\n|\n|\r)")
 MOST_BYTES = 1 << 31
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _FACES = ("vertex_indices", "vertex_index")
+_NEW_STRIP = -1  # in a list of triangle strips: the next index begins another
 
 
 class Lists(NamedTuple):
@@ -223,8 +224,9 @@ def _typed(values: npt.NDArray[np.float64], kind: str) -> Columns:
 def read_ply(path: Path) -> Scan:
     """The points of `path`, with its triangles where it has faces.
 
-    Faces of any size become fans of triangles. Colours are sRGB in the file: whole numbers over the range of their
-    type, or floats in 0..1. Normals are made unit length; where one is not, all are left out.
+    Faces of any size become fans of triangles; strips of triangles are read too. Colours are sRGB in the file: whole
+    numbers over the range of their type, or floats in 0..1. Normals are made unit length; where one is not, all are
+    left out.
 
     :raises InputError: no PLY, cut short, without points, indices out of range, NaN or infinity
     """
@@ -243,19 +245,7 @@ def read_ply(path: Path) -> Scan:
     if points is None:
         raise InputError(f"{path} -> vertex", "lacks x, y or z, expected all three")
     _check(f"{path} -> vertex", points)
-    triangles, faces = no_triangles(), elements.get("face")
-    if "tristrips" in elements:
-        raise InputError(f"{path} -> tristrips", "triangle strips, expected faces: save it as triangles")
-    if faces is not None and faces.count:
-        lists = next((faces.values[name] for name in _FACES if name in faces.values), None)
-        if not isinstance(lists, Lists):
-            raise InputError(f"{path} -> face", "no list vertex_indices, expected the corners of each face")
-        used = lists.values
-        if len(used) and (used.min() < 0 or used.max() >= len(points)):
-            at = int(np.argmax((used < 0) | (used >= len(points))))
-            face = int(np.searchsorted(np.cumsum(lists.counts), at, side="right"))
-            raise InputError(f"{path} -> face {face}", f"vertex {used[at]}, expected 0 to {len(points) - 1}")
-        triangles = np.asarray(point_triangles(lists.counts, used.astype(np.int64)), np.int32)
+    triangles = _triangles(path, elements, len(points))
     normals, colors = _columns(vertices, ("nx", "ny", "nz")), None
     if normals is not None:
         _check(f"{path} -> vertex normals", normals)
@@ -268,6 +258,44 @@ def read_ply(path: Path) -> Scan:
         _check(f"{path} -> vertex colours", values)
         colors = from_srgb(np.clip(values, 0.0, 1.0))
     return Scan(name=path.stem, points=points, triangles=triangles, normals=normals, colors=colors)
+
+
+def _triangles(path: Path, elements: dict[str, Element], points: int) -> IntArray:
+    """(t, 3) of faces and of triangle strips.
+
+    :raises InputError: corners that are no list of indices from 0 to `points`
+    """
+    found = [no_triangles()]
+    for name, parts in (("face", point_triangles), ("tristrips", _strip_triangles)):
+        element = elements.get(name)
+        if element is None or not element.count:
+            continue
+        lists = next((element.values[one] for one in _FACES if one in element.values), None)
+        if not isinstance(lists, Lists):
+            raise InputError(f"{path} -> {name}", "no list vertex_indices, expected the corners of each face")
+        used = lists.values.astype(np.int64)
+        bad = (used < (_NEW_STRIP if name == "tristrips" else 0)) | (used >= points)
+        if bad.any():
+            at = int(np.argmax(bad))
+            row = int(np.searchsorted(np.cumsum(lists.counts), at, side="right"))
+            raise InputError(f"{path} -> {name} {row}", f"vertex {used[at]}, expected 0 to {points - 1}")
+        found.append(np.asarray(parts(lists.counts, used), np.int32))
+    return np.concatenate(found)
+
+
+def _strip_triangles(counts: IntArray, indices: IntArray) -> IntArray:
+    """(t, 3) of strips, every second triangle of which runs the other way round; -1 begins another strip."""
+    first = np.zeros(len(indices), bool)  # of a strip
+    starts = np.cumsum(counts) - counts
+    first[starts[starts < len(indices)]] = True
+    first[1:] |= indices[:-1] == _NEW_STRIP
+    begin = np.maximum.accumulate(np.where(first, np.arange(len(indices)), 0))
+    rows = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1) if len(indices) > 2 else np.zeros((0, 3), int)
+    whole = (begin[2:] == begin[:-2]) & (rows != _NEW_STRIP).all(axis=1)
+    odd = (np.arange(len(rows)) - begin[: len(rows)]) % 2 == 1
+    rows[odd] = rows[odd][:, [1, 0, 2]]
+    distinct = (rows[:, 0] != rows[:, 1]) & (rows[:, 1] != rows[:, 2]) & (rows[:, 2] != rows[:, 0])
+    return np.asarray(rows[whole & distinct])  # corners twice in a row only lead a strip on
 
 
 def write_ply(scan: Scan, path: Path) -> None:

@@ -63,6 +63,8 @@ class Obj:
     colors: FloatArray | None = None  # (n, 3) the numbers after x y z, where every point has them
     objects: tuple[str, ...] = ()  # names of `o` lines
     face_object: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (f,) -1: before the first `o`
+    groups: tuple[str, ...] = ()  # names of `g` lines
+    face_group: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (f,) -1: before the first `g`
     materials: tuple[str, ...] = ()  # names of `usemtl` lines
     face_material: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (f,) -1: none
     libraries: tuple[str, ...] = ()  # file names of `mtllib` lines
@@ -94,6 +96,7 @@ def read_obj(path: Path) -> Obj:
     if uv_indices is not None:
         uv_indices = _resolved(lines, "vt", counts, uv_indices, len(uvs))
     objects, face_object = _groups(lines, "o")
+    groups, face_group = _groups(lines, "g")
     materials, face_material = _groups(lines, "usemtl")
     return Obj(
         points=np.ascontiguousarray(values[:, :3]),
@@ -104,6 +107,8 @@ def read_obj(path: Path) -> Obj:
         colors=np.ascontiguousarray(values[:, -3:]) if values.shape[1] in (6, 7) else None,
         objects=objects,
         face_object=face_object,
+        groups=groups,
+        face_group=face_group,
         materials=materials,
         face_material=face_material,
         libraries=tuple(dict.fromkeys(text.strip() for text in lines.records["mtllib"][1] if text.strip())),
@@ -137,7 +142,7 @@ def _split(path: Path, text: str) -> _Lines:
             start, rows[i] = i, row.removesuffix("\\")
         if not row.endswith("\\"):
             start = -1
-    lines = _Lines(path, {keyword: ([], []) for keyword in ("v", "vt", "f", "o", "usemtl", "mtllib")})
+    lines = _Lines(path, {keyword: ([], []) for keyword in ("v", "vt", "f", "o", "g", "usemtl", "mtllib")})
     for number, row in enumerate(rows, 1):
         words = row.split(None, 1)
         if words and words[0] in lines.records:

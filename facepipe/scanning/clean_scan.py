@@ -33,6 +33,7 @@ class CleanedScan:
     scan: Scan  # normals are there always
     border: BoolArray  # (n,) points beside a hole or the scan's end; all False in clouds
     component: IntArray  # (n,) connected piece of each point, the largest 0; all 0 in clouds
+    source: IntArray  # (n,) the point of the scan that each one is
     report: CleanScanReport
 
 
@@ -84,7 +85,13 @@ class CleanScan:
             surface=found,
             warnings=tuple(lines),
         )
-        return CleanedScan(scan=mended, border=cleaned.border, component=cleaned.component, report=report)
+        return CleanedScan(
+            scan=mended,
+            border=cleaned.border,
+            component=cleaned.component,
+            source=cleaned.source,
+            report=report,
+        )
 
     def _cloud(self, scan: Scan) -> CleanedScan:
         first, _ = merge_points(scan.points)
@@ -111,4 +118,5 @@ class CleanScan:
             surface=SurfaceReport(merged_points=len(scan.points) - len(points)),
         )
         border, component = np.zeros(count, bool), np.zeros(count, np.int64)
-        return CleanedScan(scan=mended, border=border, component=component, report=report)
+        source = np.asarray(first)[kept]
+        return CleanedScan(scan=mended, border=border, component=component, source=source, report=report)

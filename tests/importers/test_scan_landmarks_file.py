@@ -78,7 +78,7 @@ def test_written_landmarks_read_back_to_the_bit(
     ({"points": [[0, 0, 10**400]] * 68}, "expected a finite number"),
     ({"points": {"0": [0, 0, 0]}}, "expected a list of 68"),
     ({"scheme": "ibug98"}, "'ibug98', expected multipie68"),
-    ({"landmarks": []}, "key 'landmarks', expected scheme, points, markers, sigma_mm"),
+    ({"landmarks": []}, "key 'landmarks', expected scheme, points, vertices, mesh, markers, sigma_mm"),
     ({"sigma_mm": 0}, "sigma_mm: 0, expected 0.001 to 1000 mm"),
     ({"sigma_mm": True}, "sigma_mm: True"),
     ({"sigma_mm": [1.0] * 51}, "sigma_mm: 51 numbers, expected one, or 68"),

@@ -28,12 +28,12 @@ from facepipe.scanning.landmarks.search import (
     FaceFrame,
     _apart,
     _crop_matrix,
-    _grid,
     _in_picture,
     _turned,
     axis_views,
     face_frame,
 )
+from facepipe.scanning.landmarks.where import looked_at
 from facepipe.scans import Scan
 
 RNG = np.random.default_rng
@@ -41,7 +41,7 @@ RNG = np.random.default_rng
 
 def turn(seed: int) -> np.ndarray:
     q, _ = np.linalg.qr(RNG(seed).standard_normal((3, 3)))
-    return q * np.sign(np.linalg.det(q))
+    return np.asarray(q * np.sign(np.linalg.det(q)))
 
 
 def view(seed: int, size: int = 120) -> Pinhole:
@@ -158,20 +158,6 @@ def test_a_turned_crop_is_a_crop_of_the_sum_of_turns_about_the_same_middle() -> 
     np.testing.assert_allclose(_turned(crop, 0.3, 1.25, 8), turned, atol=1e-12)
 
 
-def test_crops_have_all_sizes_and_lie_where_the_scan_is() -> None:
-    small = 10.0 * _grid(np.ones((4, 4), bool), 1, 10)[:, 0, 0]
-    np.testing.assert_allclose(np.unique(small.round(9)), [1.12, 1.52, 2.08, 2.88, 4.0])
-    covered = np.zeros((100, 100), bool)
-    covered[:, :50] = True
-    matrices = _grid(covered, 1, 10)
-    sides = 10.0 * matrices[:, 0, 0]
-    np.testing.assert_allclose(np.unique(sides.round(9)), [28.0, 38.0, 52.0, 72.0, 100.0])
-    left, top = matrices[:, :, 2].T  # the first pixel's corner is the crop's
-    assert (left[sides < 99.0] + sides[sides < 99.0] / 2 <= 51.0).all()
-    assert top.min() == pytest.approx(0.0)
-    assert (top + sides).max() == pytest.approx(100.0)
-
-
 def test_views_along_the_axes_look_both_ways_through_upright_squares() -> None:
     views = axis_views(np.zeros(3), 2.0)
     for view in views:
@@ -278,20 +264,39 @@ def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
     assert np.nanmean(np.linalg.norm(again - points, axis=1)) < 0.015 * eyes
 
 
-@pytest.mark.needs_torch
-def test_what_shows_nothing_like_a_face_is_looked_at_once() -> None:
-    """A full search looks at ten times as many crops."""
-    calls: list[int] = []
+class NoFace:
+    """A network that sees none, or one everywhere in its map alone, and counts what it looks at."""
 
-    def no_face(crops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        calls.append(len(crops))
+    size, cell = 8, 4
+
+    def __init__(self, level: float = -9.0) -> None:
+        self.level, self.maps, self.crops = level, 0, 0
+
+    def __call__(self, crops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.crops += len(crops)
         return np.zeros((len(crops), 68, 2)), np.full(len(crops), 0.2)
 
-    look = surface_look(*ball(12), None)
-    search = _Search(look=look, cloud=False, draw=draw_surface, network=no_face, size=8)
-    with pytest.raises(FitError, match="ball: no face found"):
-        search.face("ball")
-    assert 0 < sum(calls) < 5000
+    def presence_map(self, level: np.ndarray) -> np.ndarray:
+        self.maps += 1
+        rows, columns = (length // self.cell - 1 for length in level.shape[1:])
+        return np.full((rows, columns), self.level)
+
+
+@pytest.mark.needs_torch
+@pytest.mark.parametrize("level", [-9.0, 9.0])
+def test_the_search_ends_where_there_is_no_face_and_says_what_was_tried(level: float) -> None:
+    network, (points, triangles) = NoFace(level), ball(12)
+    scan = Scan(name="ball", points=points, triangles=triangles, colors=np.abs(points))
+
+    def blank(look: Look, view: Pinhole) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((view.size, view.size, 3)), np.ones((view.size, view.size))
+
+    search = _Search(surface=looked_at(scan), scan=scan, draw=blank, network=network)
+    with pytest.raises(FitError, match=r"^ball: no face found on it in \d+ pictures in colours and clay"):
+        search.face()
+    assert 0 < network.maps < 5 * 1000  # sizes of crops, and the budget
+    assert network.crops <= 24 * search.counted.pictures
+    assert network.crops == 0 or level > 0
 
 
 @pytest.mark.needs_torch

@@ -1,10 +1,13 @@
-"""Find the 68 landmarks of a scanned face; OUT is the JSON file that rebuilding takes, to be mended by hand.
+"""Find the 68 landmarks of a face on any mesh; OUT is the JSON file that rebuilding takes, to be mended by hand.
 
-SCAN is a mesh or point cloud in any pose and unit, with colours or without: .ply .obj .stl .off .glb .gltf or USD.
-facepipe's own network searches pictures of it from all around; landmarks are in the coordinates of SCAN, null
+SCAN is a head, a whole body or a point cloud, in any pose and unit, with colours or without: .ply .obj .stl .off .glb
+.gltf .vrm .fbx or USD. facepipe's own network searches pictures of it, in colours and in clay: of what the head's joint
+carries, of the top of a body, of connected pieces, from all around. Landmarks are in the coordinates of SCAN, null
 where views disagree. It needs `pip install 'facepipe[train]'`. Exit code 1: done, but some landmarks are null.
 
-example: facepipe scan-landmarks neutral.ply -o neutral.landmarks.json --picture neutral.png
+examples:
+  facepipe scan-landmarks neutral.ply -o neutral.landmarks.json --picture neutral.png
+  facepipe scan-landmarks crowd.glb --component Anna -o anna.landmarks.json
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.declare import beside, source
+from facepipe.declare import beside, option, source
 from facepipe.kinds import FileAction, Job, action
 
 if TYPE_CHECKING:
@@ -32,6 +35,7 @@ class ScanLandmarks(FileAction["ScanLandmarksReport"]):
     suffixes = (".json",)
 
     scan: Path = source("mesh or point cloud")
+    component: str | None = option(None, "look at one mesh, object or group of the file alone, by its name")
     picture: Path | None = beside("draw the scan with its landmarks, from three sides", ".png", "draw")
 
     def write(self, job: Job) -> ScanLandmarksReport:
@@ -43,7 +47,7 @@ class ScanLandmarks(FileAction["ScanLandmarksReport"]):
         with job.watch("scan-landmarks", 2) as bar:
             scan = read_scan(self.scan)
             bar.update()
-            result = FindScanLandmarks(draw=draw_surface)(scan)
+            result = FindScanLandmarks(draw=draw_surface, component=self.component)(scan)
             bar.update()
         write_scan_landmarks(result.landmarks, job.out)
         return replace(result.report, landmarks=result, warnings=(*scan.warnings, *result.report.warnings))
@@ -61,5 +65,13 @@ class ScanLandmarks(FileAction["ScanLandmarksReport"]):
         return report.found < len(report.landmarks.landmarks.points)
 
     def text(self, report: ScanLandmarksReport, out: Path) -> str:
+        from facepipe.scanning.rebuild.scan_fit import unit_of
+
         text = f"{out}: {report.found} landmarks, presence {report.presence:.3f}"
-        return f"{text}, spread {report.spread:.1%} of the eyes' distance"
+        text = f"{text}, spread {report.spread:.1%} of the eyes' distance"
+        text = f"{text}\nfound in {report.seen}, on {report.place}, after {report.searched} pictures"
+        if report.unit_known:
+            return text
+        usual = unit_of(report.mm_per_unit)
+        named = "" if usual is None else f", about {usual}"
+        return f"{text}\nthe file has no unit: by the size of the face one of {report.mm_per_unit:.3g} mm{named}"

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
@@ -22,16 +24,15 @@ _TILT = 0.27  # radians that the mouth stands before the eyes, on ICT-FaceKit's 
 _INSIDE = 0.22  # of a side: what views turn about lies behind the surface
 # A picture (size, size, 3) of sRGB in 0..1 and the depth (size, size), infinite where nothing is.
 Draw = Callable[[Look, Pinhole], tuple[FloatArray, FloatArray]]
-# Landmarks (b, 68, 2) and presence (b,) of crops (b, 3, S, S).
-Network = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-_AROUND = 36  # views from all around
+_AROUND, _STEP = 36, 11  # views from all around, and of how many along their spiral each follows another
 _SEARCHED = 224  # pixels a side
 _SIDES = (0.28, 0.38, 0.52, 0.72, 1.0)  # of crops, shares of the picture's
-_STRIDE, _FIRST_STRIDE = 0.25, 0.65  # of a crop's side; of a first look, which finds faces less surely
-_COVERED = 0.5  # share of a crop that must show the scan
-_MAYBE = 0.5  # presence
-# Of a first look: 20 heads in any pose come to 0.8 and more, a cube, balls, noise, a cylinder and a plane to 0.18.
-_FAINT = 0.25
+_BEYOND = 1 / 3  # of a crop's side: how far crops reach over the picture's edges
+_PEAK, _MOST_PEAKS = 0.1, 24  # presence in a map that is worth a crop, and crops of a picture
+_MAYBE = 0.5  # presence of such a crop
+# Of other faces: what a picture of all must hold beside the first (radius, in its sides), pixels of a side, and at most
+# of a picture, and how many are looked at.
+_ROOM, _FACE_PIXELS, _MOST_PIXELS, _MOST_OTHERS = 1.3, 96, 1100, 6
 _APART = 0.25  # of a side: of two candidates nearer than this, the surer one
 _LOOKED_AT = 208  # pixels a side
 _MARGIN = 1.6  # sides of a crop that a picture shows
@@ -43,6 +44,19 @@ _JAW, _BROWS, _NOSE = range(16, -1, -1), range(26, 16, -1), (27, 28, 29, 30, 35,
 _EYES = (45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40)
 _LIPS = (54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65)
 MIRRORED = np.array([*_JAW, *_BROWS, *_NOSE, *_EYES, *_LIPS])
+
+
+class Network(Protocol):
+    """`facepipe.networks.files.LandmarkSession`."""
+
+    size: int  # pixels a side of its crops
+    cell: int  # pixels between the windows of a map
+
+    def __call__(self, crops: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        """Landmarks (b, 68, 2) and presence (b,) of crops (b, 3, S, S)."""
+
+    def presence_map(self, level: FloatArray, /) -> FloatArray:
+        """(r, c) presence before its sigmoid in windows of a picture (3, h, w)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,80 +110,112 @@ def axis_views(middle: FloatArray, radius: float) -> list[Pinhole]:
     return views
 
 
+def side_views(middle: FloatArray, radius: float, upward: FloatArray, forward: FloatArray) -> list[Pinhole]:
+    """From all sides of what stands upright, the front first."""
+    left = np.cross(upward, forward)
+    return [
+        _view(middle, radius, np.cos(turn) * forward + np.sin(turn) * left, upward)
+        for turn in 2 * np.pi * np.array([0, 3, 1, 5, 2, 4]) / 6
+    ]
+
+
 def sphere_views(middle: FloatArray, radius: float) -> list[Pinhole]:
-    """From all around, evenly (Fibonacci's spiral)."""
-    height = 1 - 2 * (np.arange(_AROUND) + 0.5) / _AROUND
-    turn = np.pi * (1 + 5**0.5) * np.arange(_AROUND)
+    """From all around, evenly (Fibonacci's spiral), and so that few at the beginning lie all around as well."""
+    number = np.arange(_AROUND) * _STEP % _AROUND
+    height = 1 - 2 * (number + 0.5) / _AROUND
+    turn = np.pi * (1 + 5**0.5) * number
     flat = np.sqrt(1 - height**2)
     directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], axis=1)
     return [_view(middle, radius, direction, np.eye(3)[np.abs(direction).argmin()]) for direction in directions]
 
 
 def candidates(
-    look: Look, views: Sequence[Pinhole], turns: int, draw: Draw, network: Network, size: int, most: int
+    look: Look, views: Sequence[Pinhole], turns: int, draw: Draw, network: Network, most: int
 ) -> list[tuple[float, FaceFrame]]:
     """The surest faces, at most `most`: their presence, and the frames of crops that may show them.
 
     :param turns: of crops in the picture's plane, evenly over the circle
-    :param size: pixels a side of the network's crops
     """
     faces: list[tuple[float, FaceFrame]] = []
     for view in views:
         picture, depth = draw(look, view)
-        matrices = _grid(np.isfinite(depth), turns, size)
-        if not len(matrices):
+        if not np.isfinite(depth).any():
             continue
-        landmarks, presence = network(_cut_crops(picture, matrices, size))
-        sure = np.flatnonzero(presence > _MAYBE)
-        # More than are wanted: crops around one face find it several times, and `_apart` keeps one of them.
-        sure = sure[np.argsort(-presence[sure], kind="stable")][: 4 * most]
-        places = _in_picture(landmarks[sure], matrices[sure])
-        for where, present in zip(places, presence[sure], strict=True):
-            # (68, 3) where the rays through landmarks (68, 2) meet the surface; NaN where they miss it
-            column, row = np.floor(where).astype(np.int64).T
-            inside = (column >= 0) & (row >= 0) & (column < view.size) & (row < view.size)
-            far = np.full(len(where), np.inf)
-            far[inside] = depth[row[inside], column[inside]]
-            far[~np.isfinite(far)] = np.nan
-            frame = face_frame(np.asarray(view.eye + far[:, None] * view.directions(where)))
+        for present, where in faces_in(picture, turns, _SIDES, network):
+            frame = _in_space(where, view, depth)
             if frame is not None:
-                faces.append((float(present), frame))
+                faces.append((present, frame))
     return _apart(faces, most)
 
 
-def is_worth_search(look: Look, views: Sequence[Pinhole], turns: int, draw: Draw, network: Network, size: int) -> bool:
-    """Whether some crop of few, in `candidates`' terms, shows at least a faint face: what has none ends here."""
-    for view in views:
+def other_faces(look: Look, frame: FaceFrame, draw: Draw, network: Network) -> list[FaceFrame]:
+    """Faces of a size like one at `frame` that may be elsewhere, from the front, the back and the sides of that."""
+    middle = (look.points.min(axis=0) + look.points.max(axis=0)) / 2
+    radius = float(np.linalg.norm(look.points - middle, axis=1).max())
+    if radius < _ROOM * frame.side:
+        return []
+    share = frame.side / (2 * radius)
+    pixels = 2 * int(np.clip(_FACE_PIXELS / share, _SEARCHED, _MOST_PIXELS) / 2)
+    x, y, z = frame.axes
+    found = []
+    for backward in (z, x, -x, -z):
+        view = Pinhole.around(middle, np.stack([np.cross(y, backward), y, backward]), radius, pixels)
         picture, depth = draw(look, view)
-        matrices = _grid(np.isfinite(depth), turns, size, _FIRST_STRIDE)
-        if len(matrices) and network(_cut_crops(picture, matrices, size))[1].max() > _FAINT:
-            return True
-    return False
+        for _, where in faces_in(picture, 1, [factor * share for factor in (0.75, 1.0, 1.35)], network):
+            other = _in_space(where, view, depth)
+            if other is not None and np.linalg.norm(other.middle - frame.middle) > frame.side / 2:
+                found.append((1.0, other))
+    return [one for _, one in _apart(found, _MOST_OTHERS)]
+
+
+def _in_space(where: FloatArray, view: Pinhole, depth: FloatArray) -> FaceFrame | None:
+    """The frame of landmarks (68, 2) where the rays through them meet a surface; None where too many miss it."""
+    column, row = np.floor(where).astype(np.int64).T
+    inside = (column >= 0) & (row >= 0) & (column < view.size) & (row < view.size)
+    far = np.full(len(where), np.inf)
+    far[inside] = depth[row[inside], column[inside]]
+    far[~np.isfinite(far)] = np.nan
+    return face_frame(np.asarray(view.eye + far[:, None] * view.directions(where)))
+
+
+def faces_in(
+    picture: FloatArray, turns: int, sides: Sequence[float], network: Network
+) -> list[tuple[float, FloatArray]]:
+    """Presence and landmarks (68, 2), in pixels, of crops of a square picture that may show a face, the surest first.
+
+    The network's map sees all places of a crop of one size and turn at once, for a tenth of what those crops take one
+    by one; crops at its peaks are then looked at themselves.
+
+    :param sides: of crops, shares of the picture's
+    """
+    size, count, source = network.size, len(picture), _Picture(picture)
+    crops: list[FloatArray] = [np.zeros((0, 2, 3))]
+    peaks: list[FloatArray] = [np.zeros(0)]
+    for share in sides:
+        scale = share * count / size  # pixels of the picture a pixel of the map's
+        pixels = -(-int(count / scale + 2 * _BEYOND * size) // network.cell) * network.cell
+        for turn in range(turns):
+            level = _crop_matrix(np.full(2, count / 2), scale * pixels, 2 * np.pi * turn / turns, pixels)
+            found = network.presence_map(source.crops(level[None], pixels)[0])
+            peak = (found > np.log(_PEAK / (1 - _PEAK))) & (found == maximum_filter(found, 3))
+            corners = np.argwhere(peak)[:, ::-1] * network.cell
+            matrices = np.repeat(level[None], len(corners), axis=0)
+            matrices[:, :, 2] += corners @ level[:, :2].T
+            crops.append(matrices)
+            peaks.append(found[peak])
+    matrices = np.concatenate(crops)[np.argsort(-np.concatenate(peaks), kind="stable")[:_MOST_PEAKS]]
+    if not len(matrices):
+        return []
+    landmarks, presence = network(source.crops(matrices, size))
+    sure = np.flatnonzero(presence > _MAYBE)
+    sure = sure[np.argsort(-presence[sure], kind="stable")]
+    return list(zip(presence[sure].tolist(), _in_picture(landmarks[sure], matrices[sure]), strict=True))
 
 
 def _view(middle: FloatArray, radius: float, backward: FloatArray, upward: FloatArray) -> Pinhole:
     right = np.cross(upward, backward)
     right /= np.linalg.norm(right)
     return Pinhole.around(middle, np.stack([right, np.cross(backward, right), backward]), radius, _SEARCHED)
-
-
-def _grid(covered: FloatArray, turns: int, size: int, stride: float = _STRIDE) -> FloatArray:
-    """(k, 2, 3) crops of all sizes, turns and places that show enough of the scan."""
-    count = covered.shape[0]
-    sums = np.pad(np.cumsum(np.cumsum(covered, axis=0), axis=1), ((1, 0), (1, 0)))
-    matrices = []
-    for share in _SIDES:
-        side = share * count
-        steps = max(int(np.ceil((count - side) / (stride * side))) + 1, 1)
-        starts = np.round(np.linspace(0, count - side, steps)).astype(np.int64)
-        width = round(side)
-        for row in starts:
-            for column in starts:
-                seen = sums[row + width, column + width] - sums[row, column + width] - sums[row + width, column]
-                if seen + sums[row, column] >= _COVERED * width**2:
-                    middle = np.array([column + side / 2, row + side / 2])
-                    matrices += [_crop_matrix(middle, side, 2 * np.pi * turn / turns, size) for turn in range(turns)]
-    return np.array(matrices).reshape(-1, 2, 3)
 
 
 def _apart(faces: list[tuple[float, FaceFrame]], most: int) -> list[tuple[float, FaceFrame]]:
@@ -202,11 +248,10 @@ def look_again(
     angles: Sequence[tuple[float, float]],
     draw: Draw,
     network: Network,
-    size: int,
 ) -> Seen:
     """Landmarks by views at `angles`: yaw and pitch in radians."""
     views = [frame.view(yaw, pitch, _LOOKED_AT, _MARGIN) for yaw, pitch in angles]
-    seen = [_one_view(look, view, draw, network, size) for view in views]
+    seen = [_one_view(look, view, draw, network) for view in views]
     presence = np.array([one[1] for one in seen])
     directions = np.stack([view.directions(one[0]) for view, one in zip(views, seen, strict=True)])
     weights = np.repeat(np.maximum(presence, 1e-3)[:, None], 68, axis=1)
@@ -215,21 +260,21 @@ def look_again(
     return Seen(landmarks=places, spread=np.median(distances, axis=0) / frame.side, presence=float(presence.mean()))
 
 
-def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int) -> tuple[FloatArray, float]:
+def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network) -> tuple[FloatArray, float]:
     """Landmarks (68, 2) in pixels, and presence: of the middle first, then of crops aligned by what that showed."""
     from facepipe.core.errors import InputError
     from facepipe.geometry.face_crops import face_crop
 
-    picture, _ = draw(look, view)
+    size, source = network.size, _Picture(draw(look, view)[0])
     matrix = _crop_matrix(np.full(2, _LOOKED_AT / 2), _LOOKED_AT / _MARGIN, 0.0, size)
     for _ in range(2):
-        landmarks, presence = network(_cut_crops(picture, matrix[None], size))
+        landmarks, presence = network(source.crops(matrix[None], size))
         try:
             matrix = face_crop(_in_picture(landmarks, matrix[None])[0], size)
         except InputError:
             return _in_picture(landmarks, matrix[None])[0], 0.0
     matrices = np.stack([_turned(matrix, turn, scale, size) for turn, scale in _LOOKS])
-    crops = _cut_crops(picture, matrices, size)
+    crops = source.crops(matrices, size)
     landmarks, presence = network(np.concatenate([crops, crops[..., ::-1]]))
     # Means with mirrored crops: what the network errs to one side cancels.
     other = landmarks[len(crops) :][:, MIRRORED]
@@ -252,28 +297,39 @@ def _crop_matrix(middle: FloatArray, side: float, turn: float, size: int) -> Flo
     return np.column_stack([linear, np.asarray(middle) - linear @ np.full(2, size / 2)])
 
 
-def _cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArray:
-    """(k, 3, size, size) float32 crops of a picture (h, w, 3) by matrices (k, 2, 3), bilinear; outside, its border."""
-    from facepipe.rig.torch import torch
+class _Picture:
+    """A square picture that crops are cut from; those of large scale from one of half the size."""
 
-    image = torch.as_tensor(np.asarray(picture, np.float32)).permute(2, 0, 1)[None]
-    scales = np.linalg.norm(matrices[:, :, 0], axis=1)
-    half = torch.nn.functional.avg_pool2d(image, 2)
-    crops = np.empty((len(matrices), 3, size, size), np.float32)
-    height, width = picture.shape[:2]
-    center = np.arange(size, dtype=np.float32) + 0.5
-    for source, chosen in ((image, scales <= _COARSE), (half, scales > _COARSE)):
-        if not chosen.any():
-            continue
-        # (k, 2, size, size) x and y of every pixel, -1 to 1 over the picture
-        scaled = np.asarray(2 * matrices[chosen] / np.array([[width], [height]]), np.float32)[..., None, None]
-        across, down, start = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
-        places = across * center[None, :] + (down * center[:, None] + (start - 1))
-        places, count = np.ascontiguousarray(np.moveaxis(places, 1, 3)), len(scaled)
-        grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
-        found = torch.nn.functional.grid_sample(source, grid, "bilinear", "border", align_corners=False)
-        crops[chosen] = found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy()
-    return crops
+    def __init__(self, pixels: FloatArray) -> None:
+        """
+        :param pixels: (h, h, 3), h even
+        """
+        from facepipe.rig.torch import torch
+
+        self.count = len(pixels)
+        whole = np.ascontiguousarray(np.moveaxis(np.asarray(pixels, np.float32), 2, 0))
+        half = sum(whole[:, row::2, column::2] for row in (0, 1) for column in (0, 1)) / 4
+        self._levels = torch.as_tensor(whole)[None], torch.as_tensor(np.asarray(half, np.float32))[None]
+
+    def crops(self, matrices: FloatArray, size: int) -> FloatArray:
+        """(k, 3, size, size) float32 by matrices (k, 2, 3), bilinear; outside, the picture's border."""
+        from facepipe.rig.torch import torch
+
+        coarse = np.linalg.norm(matrices[:, :, 0], axis=1) > _COARSE
+        crops = np.empty((len(matrices), 3, size, size), np.float32)
+        center = np.arange(size, dtype=np.float32) + 0.5
+        for level, chosen in zip(self._levels, (~coarse, coarse), strict=True):
+            if not chosen.any():
+                continue
+            # (k, 2, size, size) x and y of every pixel, -1 to 1 over the picture
+            scaled = np.asarray(2 * matrices[chosen] / self.count, np.float32)[..., None, None]
+            across, down, start = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
+            places = across * center[None, :] + (down * center[:, None] + (start - 1))
+            places, count = np.ascontiguousarray(np.moveaxis(places, 1, 3)), len(scaled)
+            grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
+            found = torch.nn.functional.grid_sample(level, grid, "bilinear", "border", align_corners=False)
+            crops[chosen] = found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy()
+        return crops
 
 
 def _in_picture(landmarks: FloatArray, matrices: FloatArray) -> FloatArray:

@@ -251,7 +251,7 @@ class Rebuild:
         neutral = NeutralScan(
             points=self._after_correction(name, arrays["points"]),
             place=place,
-            landmarks=read_scan_landmarks(given.landmarks) if given.landmarks else ScanLandmarks(),
+            landmarks=read_scan_landmarks(given.landmarks, given.scan) if given.landmarks else ScanLandmarks(),
             expression=arrays["expression"] if given.weights else None,
         )
         return neutral, place, content["report"]
@@ -397,7 +397,7 @@ class Rebuild:
         """A scan and its landmarks, which are found on it, once, where none are given."""
         named = replace(read_scan(scan.scan), name=str(scan.scan))
         if scan.landmarks:
-            return named, read_scan_landmarks(scan.landmarks)
+            return named, read_scan_landmarks(scan.landmarks, named)
         if scan.scan not in self._found:
             self._found[scan.scan] = landmarks_of(None, named)[0]
         return named, self._found[scan.scan]

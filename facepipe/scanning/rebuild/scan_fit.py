@@ -96,7 +96,7 @@ def landmarks_of(
     from facepipe.importers.scan_landmarks import read_scan_landmarks
 
     if file is not None:
-        return read_scan_landmarks(file), ()
+        return read_scan_landmarks(file, scan), ()
     if known is not None and known.known.any():
         return known, ()
     from facepipe.pictures.surface_view import draw_surface

@@ -40,7 +40,7 @@ def carried(
     template: Template,
     fit: HeadFit,
     shapes: Mapping[str, FloatArray],
-    progress: Callable[[str], object] = lambda name: None,
+    progress: Callable[[str], None] = lambda name: None,
 ) -> Carried:
     """Shapes of the template on the head that it was fitted to.
 

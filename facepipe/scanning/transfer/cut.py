@@ -49,7 +49,7 @@ def _path(head: Head, line: FloatArray, width: float, where: str) -> IntArray:
     rows[skin] = np.arange(len(skin))
     ends = rows[surface.edges]
     ends = ends[(ends >= 0).all(axis=1)]
-    points = surface.points[skin]
+    points = head.sewn[skin]
     middles = points[ends].mean(axis=1)
     beside = _distances(middles, line)
     lengths = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)

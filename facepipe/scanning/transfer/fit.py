@@ -86,7 +86,7 @@ def fit_head(
     landmarks: ScanLandmarks,
     options: FitNeutralOptions = _USUAL,
     name: str = "head",
-    progress: Callable[[int], object] = lambda step: None,
+    progress: Callable[[int], None] = lambda step: None,
 ) -> HeadFit:
     """Lay the template onto the head.
 

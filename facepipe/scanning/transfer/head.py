@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,13 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.vectors import transformed
 from facepipe.importers.scan_file import scan_of
-from facepipe.parts import FaceParts, Mesh
+from facepipe.importers.scan_hints import hints_of
+from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.rig import implausible
+from facepipe.rig.joint_names import human_joint
+from facepipe.scanning.transfer.pieces import Hints
 from facepipe.scans import LANDMARK_SCHEME, Scan, ScanLandmarks
 from facepipe.verbs.skin.surface import Surface, surface_of
 from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points, world_to_world
@@ -71,7 +76,7 @@ class Head:
     where: str
     parts: FaceParts
     points: FloatArray  # (n, 3) whole points, millimetres and Y up if the file's unit and axis are true
-    surface: Surface  # sewn: points that a file splits at seams are one
+    surface: Surface  # points that a file splits at seams are one
     landmarks: ScanLandmarks
     source: str  # of the landmarks
     notes: tuple[str, ...]
@@ -87,9 +92,9 @@ class Head:
         if given is not None:
             from facepipe.importers.scan_landmarks import read_scan_landmarks
 
-            read = read_scan_landmarks(given)
+            read = read_scan_landmarks(given, replace(_scan(parts, where), hints=hints_of(parts)))
             to = world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-            landmarks, source = ScanLandmarks(points=read.points @ to[:3, :3].T, sigma_mm=read.sigma_mm), given.name
+            landmarks, source = ScanLandmarks(points=transformed(read.points, to), sigma_mm=read.sigma_mm), given.name
         elif own is not None:
             landmarks = own
         else:
@@ -106,13 +111,35 @@ class Head:
             where=where, parts=parts, points=points, surface=surface, landmarks=landmarks, source=source, notes=notes
         )
 
+    @cached_property
+    def sewn(self) -> FloatArray:
+        """(m, 3) where the points of the surface lie among whole points: a surface keeps the up axis of its stage."""
+        return self.points[np.unique(self.surface.group, return_index=True)[1]]
+
     def skin(self) -> IntArray:
         """Sewn points of the piece that carries nose, mouth and jaw: most landmarks are nearest to it."""
         known = self.landmarks.points[self.landmarks.known]
-        nearest = closest_places(known, self.surface.points, self.surface.triangles)
+        nearest = closest_places(known, self.sewn, self.surface.triangles)
         of_triangle = self.surface.component[self.surface.triangles[:, 0]]
         votes = np.bincount(of_triangle[nearest.triangles])
         return np.flatnonzero(self.surface.component == votes.argmax())
+
+    def whole(self, values: FloatArray) -> FloatArray:
+        """(n, 3) of whole points, of values (m, 3) of the sewn ones."""
+        return np.asarray(values[self.surface.group])
+
+    def hints(self) -> Hints:
+        """What names of meshes and a jaw's joint say of the sewn points."""
+        joint = human_joint(self.parts, "Jaw")
+        jaw = None if joint is None else np.zeros(len(self.sewn))
+        start = 0
+        for mesh in self.parts.meshes:
+            group = self.surface.group[start : start + len(mesh.points)]
+            start += len(mesh.points)
+            if jaw is not None and mesh.skin is not None:
+                jaw[group] = (mesh.skin.joint_weights * (mesh.skin.joint_indices == joint)).sum(axis=1)
+        names = tuple(exact(mesh) for mesh in self.parts.meshes)
+        return Hints(names=names, name=self.surface.mesh, jaw=jaw)
 
     def scan_of_skin(self) -> Scan:
         """The piece that carries the face as a scan, with its colours."""
@@ -138,9 +165,10 @@ class Head:
 
 def _scan(parts: FaceParts, where: str) -> Scan:
     """All meshes as one scan, in the space of whole points."""
-    placed = zip(parts.meshes, to_millimetres(parts), strict=True)
-    meshes = tuple(replace(mesh, transform=to) for mesh, to in placed)
-    return scan_of(meshes, {one.name: one for one in parts.materials}, where)
+    pairs = zip(parts.meshes, to_millimetres(parts), strict=True)
+    meshes = tuple(replace(mesh, transform=to) for mesh, to in pairs)
+    hints = hints_of(replace(parts, meshes=meshes, meters_per_unit=0.001, up_axis="Y"))
+    return replace(scan_of(meshes, {one.name: one for one in parts.materials}, where), hints=hints)
 
 
 def _own_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:

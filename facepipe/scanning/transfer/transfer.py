@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,21 +14,33 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
-from facepipe.parts import FaceParts, Landmarks, Mesh, Recipe, Slider, all_regions
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Recipe, Slider, all_regions
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe.scanning.database import FaceDatabase
-from facepipe.scanning.rebuild.built_in_head import bare_head, people
+from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_inside_fitted
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
+from facepipe.scanning.transfer.companions import Motion
+from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, finished
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.marks import carried_masks, own_points
+from facepipe.scanning.transfer.pieces import (
+    EYE_LEFT,
+    EYE_RIGHT,
+    TEETH_LOWER,
+    TEETH_UPPER,
+    TONGUE,
+    Hints,
+    Inside,
+    pieces_of,
+)
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
-from facepipe.verbs.whole_faces import Topology, whole_face
+from facepipe.verbs.whole_faces import Topology, to_millimetres, whole_face
 
-MADE = "made"
+_Key = TypeVar("_Key")
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
 
@@ -40,17 +52,13 @@ class TransferReport(Report):
     fit_mean_mm: float  # between the face of the head and the template that was fitted to it
     fit_p95_mm: float
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
+    not_made: Mapping[str, str]  # shape -> why it can't be
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
     authored: tuple[str, ...] = ()
     place: Any = not_in_json()  # `Similarity` from whole points to the template's place
     framing: Any = not_in_json()  # (68, 3) landmarks there, of which pictures are taken
-
-    @property
-    def not_made(self) -> dict[str, str]:
-        """Shape -> why it could not be made."""
-        return {name: str(one["verdict"]) for name, one in self.shapes.items() if one["verdict"] != MADE}
 
     def as_text(self, out: Path) -> str:
         """The report as tables for people."""
@@ -62,7 +70,9 @@ class TransferReport(Report):
             *([("regions", ", ".join(self.regions))] if self.regions else []),
             *([("sliders", f"{len(self.sliders)}")] if self.sliders else []),
         ]
-        lines = [f"not made: {name}: {why}" for name, why in self.not_made.items()]
+        said = {name: str(one["verdict"]) for name, one in self.shapes.items() if one["verdict"] != MADE}
+        by_verdict = {verdict: [name for name in said if said[name] == verdict] for verdict in said.values()}
+        lines = [f"{verdict}: {', '.join(named)}" for verdict, named in by_verdict.items()]
         return "\n".join([str(out), table(rows), *lines])
 
 
@@ -110,42 +120,100 @@ def transfer(
     body, database = _template(template)
     names, kept = wanted_shapes(body.parts, parts, shapes, anew=anew)
     head = Head.of(parts, face.where, landmarks)
-    skin = head.skin()
+    skin, wanted = head.skin(), only or KINDS
     fit = fit_head(
         body,
         database,
-        head.surface.points[skin],
+        head.sewn[skin],
         head.surface.part_triangles(skin),
         head.landmarks,
         name=face.where,
-        progress=lambda number: step(),
+        progress=lambda number: _done(step),
     )
-    wanted = only or KINDS
-    deltas: dict[str, FloatArray] = {}
-    verdicts: dict[str, dict[str, object]] = {}
+    made = Finished(deltas={}, inbetweens={}, verdicts=(), notes=())
     if "shapes" in wanted and names:
         own = whole_face(body.parts, body.where).deltas
-        made = carried(body, fit, {name: own[name] for name in names}, lambda name: step())
-        for name, delta in made.deltas.items():
-            whole = np.zeros((len(head.surface.points), 3))
-            whole[skin] = delta
-            deltas[name] = whole[head.surface.group]
-            verdicts[name] = {"verdict": MADE, "largest_mm": float(np.linalg.norm(delta, axis=1).max())}
-    settled = partial(_settled, head=head, skin=skin, fit=fit, body=body.parts, wanted=wanted, anew=anew)
+        own = {name: own[name] for name in names}
+        skin_deltas = carried(body, fit, own, lambda name: _done(step)).deltas
+        made = whole_shapes(head, skin, body, fit, own, skin_deltas)
+    deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
+    settled = partial(
+        _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
+    )
     authored = AuthorNeutral(shapes=deltas, settled=settled)(face, head.points, recipe=recipe)
     after = face.parts()
     return TransferReport(
         landmarks=head.source,
         fit_mean_mm=fit.report.quality.surface_mean_mm,
         fit_p95_mm=fit.report.quality.surface_p95_mm,
-        shapes=verdicts,
+        shapes={one.name: _row(one, made.deltas) for one in made.verdicts},
+        not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
         kept=kept,
         regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
         sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
         authored=authored.authored,
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*head.notes, *fit.report.warnings, *authored.warnings),
+        warnings=(*head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
+    )
+
+
+def _done(step: Callable[[], object]) -> None:
+    step()
+
+
+def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray]) -> dict[str, object]:
+    """A shape's verdict and figures."""
+    row: dict[str, object] = {"verdict": one.verdict}
+    if one.name in deltas:
+        row["largest_mm"] = float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
+    return row | ({} if one.lids is None else {"lids": asdict(one.lids)})
+
+
+def whole_shapes(
+    head: Head,
+    skin: IntArray,
+    body: Template,
+    fit: HeadFit,
+    own: Mapping[str, FloatArray],
+    carried: Mapping[str, FloatArray],
+) -> Finished:
+    """Shapes of all pieces of a head, in its own coordinates.
+
+    :param skin: (m,) sewn points that the shapes were carried to
+    :param own: name -> (n, 3) whole deltas of the template, millimetres
+    :param carried: name -> (m, 3) of the head's skin
+    """
+    place = fit.place
+    points, marks = place.apply(head.sewn), place.apply(head.landmarks.points)
+    marks = np.where(head.landmarks.known[:, None], marks, fit.points[body.rows[body.landmarks]])
+    inside = _inside(body, fit)
+    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), inside)
+    motion = Motion(neutral=body.points, deltas=own, inside=inside)
+    whole = {name: np.zeros_like(points) for name in carried}
+    for name, delta in carried.items():
+        whole[name][skin] = place.scale * delta @ place.rotation.T
+    made = finished(points, head.surface.triangles, marks, pieces, motion, whole)
+
+    def back(deltas: Mapping[_Key, FloatArray]) -> dict[_Key, FloatArray]:
+        return {key: np.asarray(delta @ place.rotation / place.scale) for key, delta in deltas.items()}
+
+    between = {name: back(ways) for name, ways in made.inbetweens.items()}
+    return replace(made, deltas=back(made.deltas), inbetweens=between)
+
+
+def _inside(body: Template, fit: HeadFit) -> Inside:
+    """Where the eyeballs, teeth and tongue of the fitted template lie."""
+    names, counts = body.topology.names, body.topology.points
+    hints = Hints(names=names, name=np.repeat(np.arange(len(names)), counts))
+    marks = body.points[body.rows[body.landmarks]]
+    kinds = pieces_of(body.points, body.topology.triangles, marks, hints)
+    return Inside(
+        points=with_inside_fitted(fit.points),
+        balls={"Left": kinds.of(EYE_LEFT), "Right": kinds.of(EYE_RIGHT)},
+        upper=kinds.of(TEETH_UPPER),
+        lower=kinds.of(TEETH_LOWER),
+        tongue=kinds.of(TONGUE),
     )
 
 
@@ -166,7 +234,15 @@ def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
 
 
 def _settled(
-    changed: FaceParts, *, head: Head, skin: IntArray, fit: HeadFit, body: FaceParts, wanted: Sequence[str], anew: bool
+    changed: FaceParts,
+    *,
+    head: Head,
+    skin: IntArray,
+    fit: HeadFit,
+    body: FaceParts,
+    between: Mapping[str, Mapping[float, FloatArray]],
+    wanted: Sequence[str],
+    anew: bool,
 ) -> FaceParts:
     """The head with its new shapes, and with regions, landmarks and sliders."""
     counts = [len(mesh.points) for mesh in changed.meshes]
@@ -184,6 +260,10 @@ def _settled(
     start = int(np.sum(counts[:chosen]))
     rows = start + np.flatnonzero(on_skin[start : start + counts[chosen]])
     meshes = [replace(mesh, regions=own or mesh.regions) for mesh, own in zip(changed.meshes, masks, strict=True)]
+    meshes = [
+        replace(mesh, blendshapes=tuple(_between(shape, head, number, between) for shape in mesh.blendshapes))
+        for number, mesh in enumerate(meshes)
+    ]
     if "landmarks" in wanted and (anew or not any(mesh.landmarks for mesh in meshes)):
         meshes[chosen] = _marked(meshes[chosen], body, fit.points, places[rows], rows - start)
     new = (_by_shapes(one) for one in body.sliders) if "sliders" in wanted else ()
@@ -191,6 +271,23 @@ def _settled(
     taken = {one.name for one in changed.sliders}
     sliders = [one for one in new if one.shapes and known.issuperset(dict(one.shapes)) and one.name not in taken]
     return replace(changed, meshes=tuple(meshes), sliders=(*changed.sliders, *sliders), photos=head.parts.photos)
+
+
+def _between(shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Mapping[float, FloatArray]]) -> Blendshape:
+    """The shape with what it is at weights below 1, where it was made with that."""
+    if shape.name not in between:
+        return shape
+    back = np.linalg.inv(to_millimetres(head.parts)[mesh])[:3, :3]
+    start = sum(len(one.points) for one in head.parts.meshes[:mesh])
+    inbetweens = tuple(
+        Inbetween(
+            name=f"at{round(100 * weight)}",
+            weight=weight,
+            offsets=delta[head.surface.group[start + shape.point_indices]] @ back.T,
+        )
+        for weight, delta in between[shape.name].items()
+    )
+    return replace(shape, inbetweens=inbetweens)
 
 
 def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray, own: IntArray) -> Mesh:
