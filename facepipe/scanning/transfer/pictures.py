@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts
 from facepipe.pictures.camera import View, portrait
@@ -24,10 +25,11 @@ _MARGIN = np.array([0.15, 0.3, 0.15])  # of the landmarks' size, to either side;
 
 
 def shape_sheet(
-    parts: FaceParts, shapes: Iterable[str], place: Similarity, framing: FloatArray, size: int = _SIZE
+    parts: FaceParts, shapes: Iterable[str], shown: BoolArray, place: Similarity, framing: FloatArray, size: int = _SIZE
 ) -> Image:
     """A cell for the neutral and each of `shapes` that the face has, in their order.
 
+    :param shown: (n,) whole points to draw: hair and hats may hide the face
     :param place: from whole points to where the face stands upright, looks along +Z and is in millimetres
     :param framing: (k, 3) places of the face there, that all pictures have inside with some room
     """
@@ -40,7 +42,7 @@ def shape_sheet(
     moved = {"neutral": whole.points}
     moved |= {name: whole.points + whole.deltas[name] for name in shapes if name in whole.deltas}
     faces = {caption: place.apply(points) for caption, points in moved.items()}
-    placed = whole_parts(parts, faces["neutral"])
+    placed = _without(whole_parts(parts, faces["neutral"]), shown)
     views = []
     for view in _VIEWS:
         options = PictureOptions(size=size, camera=portrait(corners, view, size, size), samples=_SAMPLES)
@@ -52,3 +54,30 @@ def shape_sheet(
             cell.paste(image.convert("RGB"), (size * number, 0))
         cells.append((caption, cell))
     return contact_sheet(cells, columns=_COLUMNS)
+
+
+def _without(parts: FaceParts, shown: BoolArray) -> FaceParts:
+    """The face without faces that have points which are not `shown` (n,)."""
+    meshes = []
+    cuts = np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1]
+    for mesh, own in zip(parts.meshes, np.split(shown, cuts), strict=True):
+        counts = np.asarray(mesh.face_vertex_counts)
+        of_corner = np.repeat(np.arange(len(counts)), counts)
+        kept = np.ones(len(counts), bool)
+        np.logical_and.at(kept, of_corner, own[mesh.face_vertex_indices])
+        corners, number = kept[of_corner], np.cumsum(kept) - 1
+        meshes.append(
+            replace(
+                mesh,
+                face_vertex_counts=counts[kept],
+                face_vertex_indices=mesh.face_vertex_indices[corners],
+                uv_sets=tuple(
+                    uv if uv.indices is None else replace(uv, indices=uv.indices[corners]) for uv in mesh.uv_sets
+                ),
+                material_faces=tuple(
+                    replace(one, faces=number[one.faces[kept[one.faces]]].astype(np.int32))
+                    for one in mesh.material_faces
+                ),
+            )
+        )
+    return replace(parts, meshes=tuple(meshes))

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
@@ -28,6 +28,8 @@ from facepipe.scanning.transfer.marks import carried_masks, own_points
 from facepipe.scanning.transfer.pieces import (
     EYE_LEFT,
     EYE_RIGHT,
+    HELPER,
+    STILL,
     TEETH_LOWER,
     TEETH_UPPER,
     TONGUE,
@@ -57,6 +59,7 @@ class TransferReport(Report):
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
     authored: tuple[str, ...] = ()
+    shown: Any = not_in_json()  # (n,) whole points that are no hair, clothes or helpers
     place: Any = not_in_json()  # `Similarity` from whole points to the template's place
     framing: Any = not_in_json()  # (68, 3) landmarks there, of which pictures are taken
 
@@ -130,12 +133,12 @@ def transfer(
         name=face.where,
         progress=lambda number: _done(step),
     )
-    made = Finished(deltas={}, inbetweens={}, verdicts=(), notes=())
+    made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
     if "shapes" in wanted and names:
         own = whole_face(body.parts, body.where).deltas
         own = {name: own[name] for name in names}
         skin_deltas = carried(body, fit, own, lambda name: _done(step)).deltas
-        made = whole_shapes(head, skin, body, fit, own, skin_deltas)
+        made, face_points = whole_shapes(head, skin, body, fit, own, skin_deltas)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -152,6 +155,7 @@ def transfer(
         regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
         sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
         authored=authored.authored,
+        shown=head.whole(face_points),
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
         warnings=(*head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
@@ -177,8 +181,8 @@ def whole_shapes(
     fit: HeadFit,
     own: Mapping[str, FloatArray],
     carried: Mapping[str, FloatArray],
-) -> Finished:
-    """Shapes of all pieces of a head, in its own coordinates.
+) -> tuple[Finished, BoolArray]:
+    """Shapes of all pieces of a head, in its own coordinates; and which sewn points are of its face and head itself.
 
     :param skin: (m,) sewn points that the shapes were carried to
     :param own: name -> (n, 3) whole deltas of the template, millimetres
@@ -199,7 +203,9 @@ def whole_shapes(
         return {key: np.asarray(delta @ place.rotation / place.scale) for key, delta in deltas.items()}
 
     between = {name: back(ways) for name, ways in made.inbetweens.items()}
-    return replace(made, deltas=back(made.deltas), inbetweens=between)
+    face_points = np.ones(len(points), bool)
+    face_points[pieces.of(STILL, HELPER)] = False
+    return replace(made, deltas=back(made.deltas), inbetweens=between), face_points
 
 
 def _inside(body: Template, fit: HeadFit) -> Inside:

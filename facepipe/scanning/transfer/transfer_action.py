@@ -91,4 +91,4 @@ class TransferAction(StageAction["TransferReport"]):
         from facepipe.pictures import save_png
         from facepipe.scanning.transfer.pictures import shape_sheet
 
-        save_png(shape_sheet(face.parts(), report.shapes, report.place, report.framing), path)
+        save_png(shape_sheet(face.parts(), report.shapes, report.shown, report.place, report.framing), path)
