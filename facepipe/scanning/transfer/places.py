@@ -35,10 +35,8 @@ def places_on(
     :param labels: (r,) +a and -a of the sides of slit a
     :param sides: (s,) the same of the points: one of +a finds no place on a triangle with a corner of -a
     """
-    shape = len(points)
-    found = Places(
-        corners=np.zeros((shape, 3), np.int64), shares=np.zeros((shape, 3)), distances=np.full(shape, np.inf)
-    )
+    count = len(points)
+    corners, shares, distances = np.zeros((count, 3), np.int64), np.zeros((count, 3)), np.full(count, np.inf)
     of_corners = labels[triangles]
     facing = triangle_normals(rows, triangles)
     for side in np.unique(sides):
@@ -47,10 +45,9 @@ def places_on(
         if not len(allowed):
             continue
         nearest = _facing(rows, triangles[allowed], facing[allowed], points[numbers], normals[numbers])
-        shares = place_shares(nearest, rows, triangles[allowed])
-        found.corners[numbers] = triangles[allowed[nearest.triangles]]
-        found.shares[numbers], found.distances[numbers] = shares, nearest.distances
-    return found
+        corners[numbers] = triangles[allowed[nearest.triangles]]
+        shares[numbers], distances[numbers] = place_shares(nearest, rows, triangles[allowed]), nearest.distances
+    return Places(corners=corners, shares=shares, distances=distances)
 
 
 def _facing(
