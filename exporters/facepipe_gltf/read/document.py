@@ -58,7 +58,7 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_animation_pointer",
         "KHR_materials_emissive_strength",
         "KHR_materials_pbrSpecularGlossiness",
-        "KHR_materials_variants",  # named where materials are read; the file's own choice is one of them
+        "KHR_materials_variants",
         "EXT_texture_webp",
         "EXT_texture_avif",
     }

@@ -29,6 +29,7 @@ from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import Joints, Nodes, read_joints, read_nodes
+from facepipe_gltf.read.variants import Variants, read_variants
 
 if TYPE_CHECKING:
     from facepipe_gltf.read.vrm import Avatar
@@ -89,7 +90,8 @@ class Assembly:
     document: Document
     nodes: Nodes
     joints: Joints
-    materials: list[str]
+    materials: list[str]  # by number; the last is for none
+    variants: Variants
     weld: bool
     recorded: bool = False  # a file of ours: what places its meshes is in the record
     shape_names: Names = field(default_factory=Names)
@@ -130,12 +132,14 @@ class Assembly:
         key = (mesh_index, skin)
         if key not in self._built:
             self._built[key] = None
-            geometry = primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
+            entry = document.entries("meshes")[mesh_index]
+            geometry = primitives.read_geometry(document, entry, skin >= 0, self.variants)
             if geometry is not None:
                 names, slots = self.shape_names, None if skin < 0 else self.joints.skins[skin].slots
                 mesh = meshes.build_mesh(document, geometry, names, self.weld, slots, self.materials, self.recorded)
                 used = np.unique(geometry.materials[geometry.materials >= 0]).tolist()
-                sides = [document.entries("materials")[i].get_or("doubleSided", False).flag() for i in used]
+                used += [other for number in used for other in self.variants.others(number)]
+                sides = [self.variants.value(i).get_or("doubleSided", False).flag() for i in dict.fromkeys(used)]
                 if len(set(sides)) > 1 and not self.recorded:
                     document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
                 count = len(geometry.vertices.targets)
@@ -233,7 +237,10 @@ class _Found(NamedTuple):
             meshes={node: number for number, node in enumerate(self.assembly.shown)},
             parts=self.parts,
             roles=self.assembly.roles,
-            materials=self.assembly.materials[:-1],
+            materials=[
+                [self.assembly.materials[number] for number in numbers]
+                for numbers in self.assembly.variants.by_material()
+            ],
             stubs=self.assembly.recorded,
         )
         return self.avatar.on(document, face, places)
@@ -254,8 +261,9 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     nodes = read_nodes(document, options.scene)
     avatar = _avatar(document, nodes)
     joints = read_joints(document, nodes, () if avatar is None or recorded else tuple(avatar.joints))
-    materials = material_names(document)  # the last stands for none
-    assembly = Assembly(document, nodes, joints, materials, options.weld, recorded)
+    variants = read_variants(document)
+    materials = material_names(document, variants)
+    assembly = Assembly(document, nodes, joints, materials, variants, options.weld, recorded)
     meshes = assembly.meshes()
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")
@@ -266,7 +274,10 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     if not recorded:
         meshes = _shapes_apart(document, nodes, joints, assembly, meshes)
     animations, rate = read_animations(document, nodes, joints, assembly.roles, options.fps)
-    bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
+    names = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
+    number_of = {name: number for number, name in enumerate(materials)}
+    bound = [number_of[name] for name in names if name is not None]
+    variants.note(bound, ours=recorded)
     parts = FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
@@ -275,7 +286,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         animations=animations,
         played=next((one.name for one in animations if one.times is not None), None),  # a pose has none
         frames_per_second=rate,
-        materials=read_materials(document, materials, bound),
+        materials=read_materials(document, materials, bound, variants),
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
