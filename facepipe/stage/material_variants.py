@@ -17,11 +17,12 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 from facepipe.core import tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import handles, identifier
+from facepipe.stage.files import at_variants
 from facepipe.stage.prims import prims_below
 
 MOST_VARIANTS = 256  # each is a composition of the face to read
-MOST_BINDINGS = 1 << 17  # of meshes and faces in all variants, some 20 microseconds each
-_BINDING = "material:binding"
+MOST_BINDINGS = 1 << 15  # of meshes and parts of meshes in all variants: so many are read in a second
+BINDING = "material:binding"
 _PLAIN = re.compile(r"[A-Za-z0-9_|-]{1,200}")  # what USD calls variants beside identifiers
 
 
@@ -76,37 +77,40 @@ class Bindings:
         """Write what was bound to materials with variants into each variant of the face.
 
         :param identifiers: of variants that the face has already; None is what it shows now
-        :raises InputError: more than a face can have
         """
         if not self._bound:
             return
         names = list(dict.fromkeys(name for shown in self._variants.values() for name in shown))
-        check_variants(face.GetPath(), len(names), len(self._bound))
         layer = face.GetStage().GetEditTarget().GetLayer()
         of_names = variant_identifiers(names)
         known: dict[str | None, str] = {None: tokens.DEFAULT_VARIANT}
         known |= zip(names, of_names, strict=True)
-        for name, own in (known if identifiers is None else identifiers).items():
-            place = _variant(layer, face.GetPath(), own)
-            for path, material in self._bound.items():
-                shown = material if name is None else self._variants[material].get(name, material)
-                _put(layer, place, path.MakeRelativePath(face.GetPath()), _BINDING, [self._prims[shown].GetPath()])
-            if identifiers is None and name not in (None, own):
-                _put_name(place, str(name))
-        if identifiers is None:
-            layer.GetPrimAtPath(face.GetPath()).variantSelections[tokens.VARIANTS] = tokens.DEFAULT_VARIANT
+        with Sdf.ChangeBlock():  # the stage composes what is new once
+            for name, own in (known if identifiers is None else identifiers).items():
+                place = variant_place(layer, face.GetPath(), own)
+                for path, material in self._bound.items():
+                    shown = material if name is None else self._variants[material].get(name, material)
+                    below = path.MakeRelativePath(face.GetPath())
+                    put_binding(layer, place, below, BINDING, [self._prims[shown].GetPath()])
+                if identifiers is None and name not in (None, own):
+                    put_variant_name(place, str(name))
+            if identifiers is None:
+                layer.GetPrimAtPath(face.GetPath()).variantSelections[tokens.VARIANTS] = tokens.DEFAULT_VARIANT
 
 
 def check_variants(where: object, variants: int, bindings: int) -> None:
-    """:raises InputError: more variants, or bindings in all of them, than a face can have"""
+    """Check how many variants there are beside ``default``, and meshes and parts of meshes in each.
+
+    :raises InputError: more than a face can have
+    """
     if variants > MOST_VARIANTS:
         raise InputError(where, f"{variants} variants of materials, expected at most {MOST_VARIANTS}")
     if variants * bindings > MOST_BINDINGS:
-        what = f"{bindings} meshes and parts of meshes in {variants} variants of materials"
-        raise InputError(where, f"{what}, expected at most {MOST_BINDINGS} in all")
+        what = f"{variants} variants of materials of {bindings} meshes and parts of meshes"
+        raise InputError(where, f"{what}, expected at most {MOST_BINDINGS // bindings} variants of so many")
 
 
-def _variant(layer: Sdf.Layer, face: Sdf.Path, name: str) -> Sdf.PrimSpec:
+def variant_place(layer: Sdf.Layer, face: Sdf.Path, name: str) -> Sdf.PrimSpec:
     """The place of what a variant says, made where it is not there."""
     spec = Sdf.CreatePrimInLayer(layer, face)
     if tokens.VARIANTS not in spec.variantSets:
@@ -117,14 +121,14 @@ def _variant(layer: Sdf.Layer, face: Sdf.Path, name: str) -> Sdf.PrimSpec:
     return (Sdf.VariantSpec(variants, name) if found is None else found).primSpec
 
 
-def _put(layer: Sdf.Layer, place: Sdf.PrimSpec, below: Sdf.Path, name: str, targets: Sequence[Sdf.Path]) -> None:
+def put_binding(layer: Sdf.Layer, place: Sdf.PrimSpec, below: Sdf.Path, name: str, targets: Sequence[Sdf.Path]) -> None:
     itself = below == Sdf.Path.reflexiveRelativePath
     prim = place if itself else Sdf.CreatePrimInLayer(layer, place.path.AppendPath(below))
     relationship = prim.relationships.get(name) or Sdf.RelationshipSpec(prim, name, False)
     relationship.targetPathList.explicitItems = list(targets)
 
 
-def _put_name(place: Sdf.PrimSpec, name: str) -> None:
+def put_variant_name(place: Sdf.PrimSpec, name: str) -> None:
     attribute = Sdf.AttributeSpec(
         place, tokens.VARIANT_NAME, Sdf.ValueTypeNames.String, Sdf.VariabilityUniform, declaresCustom=False
     )
@@ -180,33 +184,21 @@ def read_variants(face: Usd.Prim, where: str) -> Variants:
     current = sets.GetVariantSet(tokens.VARIANTS).GetVariantSelection()
     paths = [prim.GetPath() for prim in _bindable(face, where)]
     try:
-        check_variants(where, len(names), len(paths))
+        check_variants(where, len(names) - (tokens.DEFAULT_VARIANT in names), len(paths))
     except InputError as error:
         raise SchemaError(error.where, error.what) from None
     shown = _bound(face.GetStage(), paths)
     calls, bound = {}, {}
-    for own, at in zip(names, _at_each(face, names), strict=True):
-        call = str(at.GetAttribute(tokens.VARIANT_NAME).Get() or "")
+    for own, at in zip(names, at_variants(face.GetStage(), face.GetPath(), tokens.VARIANTS, names), strict=True):
+        call = str(at.GetPrimAtPath(face.GetPath()).GetAttribute(tokens.VARIANT_NAME).Get() or "")
         if own == current == tokens.DEFAULT_VARIANT and not call:
             continue  # what the face shows without variants is none of its variants
         calls[own] = call or own
-        bound[own] = _bound(at.GetStage(), paths)
+        bound[own] = _bound(at, paths)
     exact = handles([*calls.values()], "variant")
     identifiers: dict[str | None, str] = {None: current} if current else {}
     identifiers |= zip(exact, calls, strict=True)
     return Variants(identifiers, shown, dict(zip(exact, bound.values(), strict=True)))
-
-
-def _at_each(face: Usd.Prim, names: Sequence[str]) -> Iterable[Usd.Prim]:
-    """The face at each of its variants, on one stage of the same layers, what its session says included."""
-    stage, session = face.GetStage(), Sdf.Layer.CreateAnonymous(".usda")
-    session.subLayerPaths.append(stage.GetSessionLayer().identifier)
-    other = Usd.Stage.Open(stage.GetRootLayer(), session)
-    other.SetEditTarget(session)
-    for name in names:
-        at = other.GetPrimAtPath(face.GetPath())
-        at.GetVariantSet(tokens.VARIANTS).SetVariantSelection(name)
-        yield other.GetPrimAtPath(face.GetPath())
 
 
 def _bindable(face: Usd.Prim, where: str) -> Iterable[Usd.Prim]:
@@ -226,50 +218,3 @@ def _bound(stage: Usd.Stage, paths: Sequence[Sdf.Path]) -> dict[Sdf.Path, Sdf.Pa
     materials = UsdShade.MaterialBindingAPI.ComputeBoundMaterials(there)[0] if there else []
     found = {prim.GetPath(): material.GetPath() for prim, material in zip(there, materials, strict=True) if material}
     return {path: found.get(path, Sdf.Path()) for path in paths}
-
-
-def keep_variants(face: Usd.Prim, layer: Sdf.Layer, levels: Sequence[Sdf.Path]) -> bool:
-    """Give a layer that was flattened from the face's stage the variants of its materials; whether it has any.
-
-    :param levels: places in the layer of what other levels of the face say
-    """
-    sets = face.GetVariantSets()
-    names = sets.GetVariantSet(tokens.VARIANTS).GetVariantNames() if sets.HasVariantSet(tokens.VARIANTS) else []
-    found, calls = [], []
-    for at in _at_each(face, names) if names else ():
-        calls.append(at.GetAttribute(tokens.VARIANT_NAME).Get())
-        found.append(
-            {
-                (prim.GetPath().MakeRelativePath(face.GetPath()), str(one.GetName())): tuple(one.GetTargets())
-                for prim in Usd.PrimRange.AllPrims(at)
-                for one in prim.GetAuthoredRelationships()
-                if one.GetName().startswith(_BINDING)
-            }
-        )
-    every = dict.fromkeys(key for one in found for key in one)
-    changed = [key for key in every if len({one.get(key) for one in found}) > 1]
-    if not changed:
-        return False
-    # what is beside the variants would win over them
-    for below, name in changed:
-        for root in (face.GetPath(), *levels):
-            spec = layer.GetPrimAtPath(root.AppendPath(below))
-            if spec and name in spec.relationships:
-                spec.RemoveProperty(spec.relationships[name])
-                # what was flattened of a mesh of another level is now an over of nothing
-                while spec.specifier == Sdf.SpecifierOver and spec.isInert:
-                    spec, name_of_it = spec.nameParent, spec.name
-                    del spec.nameChildren[name_of_it]
-    spec = layer.GetPrimAtPath(face.GetPath())
-    if tokens.VARIANT_NAME in spec.attributes:
-        spec.RemoveProperty(spec.attributes[tokens.VARIANT_NAME])
-    for variant, bound, call in zip(names, found, calls, strict=True):
-        place = _variant(layer, face.GetPath(), variant)
-        for key in changed:
-            if key in bound:
-                _put(layer, place, *key, bound[key])
-        if call:
-            _put_name(place, call)
-    if current := sets.GetVariantSet(tokens.VARIANTS).GetVariantSelection():
-        spec.variantSelections[tokens.VARIANTS] = current
-    return True

@@ -201,6 +201,17 @@ def test_variants_that_change_nothing_are_named(tmp_path: Path) -> None:
     assert "materials: 5 variants left out: no triangles have another material in them" in result.warnings
 
 
+def test_variants_of_too_many_meshes_are_named(tmp_path: Path) -> None:
+    names = [str(number) for number in range(256)]
+    builder = with_variants(names, [("skin", {"7": "red"})])
+    shown = [builder.add("nodes", {"mesh": 0, "name": str(number)}) for number in range(129)]
+    builder.root["scenes"][0]["nodes"] = shown
+    result = read(tmp_path, builder)
+    assert (len(result.parts.meshes), result.parts.variants) == (129, ())
+    line = "256 variants of materials of 129 meshes and parts of meshes, expected at most 254 variants of so many"
+    assert f"materials: {line}: left out" in result.warnings
+
+
 def test_more_variants_than_a_face_can_have_are_refused_in_a_line(tmp_path: Path) -> None:
     parts = read(tmp_path, with_variants()).parts
     row = {str(number): "pale" for number in range(300)}

@@ -277,7 +277,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     names = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
     number_of = {name: number for number, name in enumerate(materials)}
     bound = [number_of[name] for name in names if name is not None]
-    variants.note(bound, ours=recorded)
+    variants.note(bound, len(names), ours=recorded)
     parts = FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
-from facepipe.stage.material_variants import MOST_BINDINGS, MOST_VARIANTS
+from facepipe.stage.material_variants import MOST_VARIANTS, check_variants
 from facepipe_gltf.materials import VARIANTS
 from facepipe_gltf.read.document import Document, Value, given_name, quote
 
@@ -81,23 +81,28 @@ class Variants:
         row = dict(self._rows.get(number, ()))
         return {name: called[row.get(place, number)] for place, name in enumerate(self.names)} if row else {}
 
-    def note(self, bound: Sequence[int], *, ours: bool) -> None:
+    def note(self, bound: Sequence[int], bindings: int, *, ours: bool) -> None:
         """Name in a warning what becomes of the variants; where that is too much for a face, they are left out.
 
-        :param bound: material of each mesh, or part of one
+        :param bound: the materials in use
+        :param bindings: meshes and parts of meshes
         :param ours: facepipe wrote them
         """
         if not self.names:
             return
-        document, count = self.document, sum(number in self._rows for number in bound)
+        document = self.document
         said = f"{len(self.names)} variant{'s' * (len(self.names) > 1)}"
-        if count * len(self.names) > MOST_BINDINGS:
-            document.warn("materials", f"{said} of {count} meshes and parts of meshes left out: too many")
+        if self._rows.keys().isdisjoint(bound):
+            document.warn("materials", f"{said} left out: no triangles have another material in them")
+            return
+        try:
+            check_variants("materials", len(self.names), bindings)
+        except InputError as error:
+            document.warn(error.where, f"{error.what}: left out")
             self.names = ()
             self._rows.clear()
-        elif not count:
-            document.warn("materials", f"{said} left out: no triangles have another material in them")
-        elif not ours:
+            return
+        if not ours:
             few = [name if name.isprintable() and len(name) < 40 else quote(name) for name in self.names[:_LISTED]]
             whole = len(self.names) == len(few) > 1
             listed = f"{', '.join(few[:-1])} and {few[-1]}" if whole else ", ".join(few)
