@@ -156,8 +156,8 @@ class Variants:
                 of_variants = {}  # not in the set, or as if it weren't
             for variant, other in of_variants.items():
                 if not {str(material), str(other)} <= names.keys():
-                    bound = " and ".join(f"<{one}>" if one else "nothing" for one in (material, other))
-                    what = f"bound to {bound} as it is and in the variant {variant}, expected materials of the face"
+                    now, then = (f"<{one}>" if one else "no material" for one in (material, other))
+                    what = f"shows {now}, and {then} in the variant {variant}, expected materials of the face"
                     raise SchemaError(f"{where} -> <{path}>", what)
             if str(material) not in names:
                 continue

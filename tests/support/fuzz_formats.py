@@ -573,7 +573,10 @@ def put_foreign_gltf() -> None:
         "KHR_materials_pbrSpecularGlossiness": glossy,
         "KHR_materials_unlit": {},
     }
-    builder.root["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "dark"}]}}
+    dark = builder.add("materials", {"name": "dark"})
+    builder.root["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "dark"}, {"name": "a/b"}]}}
+    shown = {"KHR_materials_variants": {"mappings": [{"material": dark, "variants": [0]}]}}
+    builder.root["meshes"][0]["primitives"][0]["extensions"] = shown
     builder.root["nodes"][11]["weights"] = [0.1, 0, 0.5]
     skin = builder.root["skins"][0]
     turned = np.tile(np.eye(4), (len(skin["joints"]), 1, 1)).reshape(-1, 16)
