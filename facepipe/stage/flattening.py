@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from pxr import Sdf, Usd
 
 from facepipe.core import tokens
 from facepipe.stage.files import at_variants, level_names, lower_levels
-from facepipe.stage.material_variants import BINDING, put_binding, put_variant_name, variant_place
+from facepipe.stage.material_variants import BINDING, put_binding, put_variant_name, variant_names, variant_place
+from facepipe.stage.values import usd_errors
 
 
 def flattened(stage: Usd.Stage) -> Sdf.Layer:
     """All that a stage shows in one layer, with the variants of its face's materials, and with the other levels of it
-    where it shows the finest."""
+    where it shows the finest.
+
+    :raises InputError: what USD can't write
+    """
     layer, prim = stage.Flatten(), stage.GetDefaultPrim()
     if not prim:
         return layer
-    levels = _keep_levels(stage, layer, prim)
-    # `Sdf.CopySpec` copies fields in the order that their names have in memory, which is that in which threads first
-    # met them, and crate files keep it; text has them in one order, so that every run writes the same bytes
-    if _keep_variants(prim, layer, levels) or levels:
-        ordered = Sdf.Layer.CreateAnonymous(".usda")
-        ordered.ImportFromString(layer.ExportToString())
-        return ordered
+    with usd_errors(f"{Path(stage.GetRootLayer().realPath or 'stage').name} -> <{prim.GetPath()}>"):
+        levels = _keep_levels(stage, layer, prim)
+        # `Sdf.CopySpec` copies fields in the order that their names have in memory, which is that in which threads
+        # first met them, and crate files keep it; text has them in one order, so that every run writes the same bytes
+        if _keep_variants(prim, layer, levels) or levels:
+            ordered = Sdf.Layer.CreateAnonymous(".usda")
+            ordered.ImportFromString(layer.ExportToString())
+            return ordered
     return layer
 
 
@@ -58,10 +64,9 @@ def _keep_variants(face: Usd.Prim, layer: Sdf.Layer, levels: Sequence[Sdf.Path])
 
     :param levels: places in the layer of what other levels of the face say
     """
-    sets = face.GetVariantSets()
-    if not sets.HasVariantSet(tokens.VARIANTS):
+    names, found, calls = variant_names(face), [], []
+    if not names:
         return False
-    names, found, calls = sets.GetVariantSet(tokens.VARIANTS).GetVariantNames(), [], []
     for stage in at_variants(face.GetStage(), face.GetPath(), tokens.VARIANTS, names):
         at = stage.GetPrimAtPath(face.GetPath())
         calls.append(at.GetAttribute(tokens.VARIANT_NAME).Get())
@@ -97,6 +102,6 @@ def _keep_variants(face: Usd.Prim, layer: Sdf.Layer, levels: Sequence[Sdf.Path])
                 put_binding(layer, place, *key, bound[key])
         if call:
             put_variant_name(place, call)
-    if current := sets.GetVariantSet(tokens.VARIANTS).GetVariantSelection():
+    if current := face.GetVariantSet(tokens.VARIANTS).GetVariantSelection():
         spec.variantSelections[tokens.VARIANTS] = current
     return True

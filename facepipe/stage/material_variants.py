@@ -98,6 +98,13 @@ class Bindings:
                 layer.GetPrimAtPath(face.GetPath()).variantSelections[tokens.VARIANTS] = tokens.DEFAULT_VARIANT
 
 
+def variant_names(face: Usd.Prim) -> list[str]:
+    """What USD calls the variants of a face's materials; none for most faces."""
+    sets = face.GetVariantSets()
+    names = sets.GetVariantSet(tokens.VARIANTS).GetVariantNames() if sets.HasVariantSet(tokens.VARIANTS) else []
+    return [name for name in names if name]  # one without a name is none: USD takes it for no selection
+
+
 def check_variants(where: object, variants: int, bindings: int) -> None:
     """Check how many variants there are beside ``default``, and meshes and parts of meshes in each.
 
@@ -177,11 +184,9 @@ def read_variants(face: Usd.Prim, where: str) -> Variants:
 
     :raises SchemaError: more than a face can have
     """
-    sets = face.GetVariantSets()
-    names = sets.GetVariantSet(tokens.VARIANTS).GetVariantNames() if sets.HasVariantSet(tokens.VARIANTS) else []
+    names, current = variant_names(face), face.GetVariantSet(tokens.VARIANTS).GetVariantSelection()
     if not names:
         return Variants()
-    current = sets.GetVariantSet(tokens.VARIANTS).GetVariantSelection()
     paths = [prim.GetPath() for prim in _bindable(face, where)]
     try:
         check_variants(where, len(names) - (tokens.DEFAULT_VARIANT in names), len(paths))
