@@ -246,7 +246,7 @@ static void read_stacks(void)
 			}
 			if (!fill) {
 				times = table(&rows[i].times, count, sizeof(double));
-				held = table(&rows[i].held, 2 * steps, sizeof(double));
+				held = table(&rows[i].held, steps, 2 * sizeof(double));
 			}
 		}
 	}

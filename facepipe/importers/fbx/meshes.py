@@ -190,7 +190,7 @@ def read_shapes(scene: Scene, name: str, mesh: int, called: Mapping[int, str], c
         if not targets:
             scene.warn(name, f"the shape {called[channel]} has no target: left out")
             continue
-        points = np.unique(np.concatenate([indices for _, _, indices, _, _ in targets])).astype(np.int32)
+        points = np.unique(np.concatenate([_moved(target) for target in targets])).astype(np.int32)
         scene.budget.spend(24 * len(targets) * len(points), scene.error)
         weights = np.array([weight for _, weight, _, _, _ in targets])
         offsets = np.stack([_rows(points, indices, values) for _, _, indices, values, _ in targets])
@@ -246,9 +246,16 @@ def _targets(scene: Scene, name: str, channel: int, count: int) -> list[_Target]
     return sorted({target[1]: target for target in targets}.values(), key=lambda target: target[1])
 
 
+def _moved(target: _Target) -> IntArray:
+    """The points that a target moves or turns: some writers list all."""
+    _, _, indices, offsets, normals = target
+    return indices[offsets.any(axis=1) if normals is None else offsets.any(axis=1) | normals.any(axis=1)]
+
+
 def _rows(points: IntArray, indices: IntArray, values: FloatArray) -> FloatArray:
     rows = np.zeros((len(points), 3))
-    rows[np.searchsorted(points, indices)] = values
+    kept = np.isin(indices, points)
+    rows[np.searchsorted(points, indices[kept])] = values[kept]
     return rows
 
 
