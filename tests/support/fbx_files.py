@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from gltf_builder import PNG
 
 TICKS = 46_186_158_000  # in a second
 _ARRAYS = {"f8": b"d", "f4": b"f", "i4": b"i", "i8": b"l", "u1": b"b"}
@@ -266,3 +267,53 @@ def layers(*kinds: str) -> Node:
         node("LayerElement", children=[node("Type", f"LayerElement{kind}"), node("TypedIndex", 0)]) for kind in kinds
     ]
     return node("Layer", 0, children=[node("Version", 100), *own])
+
+
+def full_scene() -> Scene:
+    """A face with all that the importer reads: skin, shapes, clips, UVs, materials, a picture, a mesh on a bone."""
+    scene, ways = Scene(), np.eye(4)
+    armature = scene.model("Armature", scaling=(100, 100, 100))
+    head = scene.model("head", armature, "LimbNode", translation=(0, 1, 0))
+    jaw = scene.model("jaw", head, "LimbNode", translation=(0, 0, 1), rotation=(10, 20, 30))
+    model = scene.model("Head", of="Mesh", GeometricTranslation=(0, 0, 1))
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0.5]])
+    geometry = scene.mesh(
+        model,
+        points,
+        [[0, 1, 2, 3], [1, 4, 2]],
+        layer("Normal", "ByVertice", "Direct", node("Normals", np.tile([0.0, 0.0, 1.0], 5))),
+        layer(
+            "UV",
+            "ByPolygonVertex",
+            "IndexToDirect",
+            node("UV", np.array([0, 0, 1, 0, 1, 1, 0, 1.0])),
+            node("UVIndex", np.array([0, 1, 2, 3, 0, 1, 2], "i4")),
+        ),
+        layer("Color", "ByVertice", "Direct", node("Colors", np.full(20, 0.5))),
+        layer("Material", "ByPolygon", "IndexToDirect", node("Materials", np.array([0, 1], "i4"))),
+        layers("Normal", "UV", "Color", "Material"),
+    )
+    link = np.diag([100.0, 100, 100, 1])
+    scene.skin(
+        geometry,
+        [
+            (head, [0, 1, 2, 3], [1.0, 0.5, 0.5, 1.0], np.linalg.inv(link), link),
+            (jaw, [1, 2, 4], [0.5, 0.5, 1.0], np.linalg.inv(link) @ ways, link),
+        ],
+    )
+    deformer = scene.channels(geometry)
+    opened = scene.channel(
+        deformer, "jawOpen", [("half", 50, [1], [[0, 0, 1]]), ("open", 100, [1, 2], [[0, 0, 4]] * 2)]
+    )
+    scene.channel(deformer, "smile", [("smile", 100, [3], [[0, 1, 0]])], percent=30)
+    eye = scene.model("Eye", head, of="Mesh", translation=(0, 0, 2), scaling=(-1, 1, 1))
+    scene.link(geometry, scene.model("Twin", eye, of="Mesh"))
+    scene.mesh(eye, points, [[0, 1, 2, 3]])
+    for name in ("skin", "lips"):
+        number = scene.material(model, name, property70("DiffuseColor", "Color", 1.0, 0.5, 0.25))
+        scene.texture(number, "DiffuseColor", f"{name}.png", content=PNG)
+    for take, (begin, end) in {"talk": (0.0, 0.5), "nod": (0.25, 1.0)}.items():
+        number = scene.stack(take, begin, end)
+        scene.curves(number, opened, "DeformPercent", {"d|DeformPercent": [(begin, 0), (end, 100)]})
+        scene.curves(number, jaw, "Lcl Rotation", {"d|X": [(begin, 0), (end, 90)], "d|Y": [(begin, 0), (end, 20)]})
+    return scene
