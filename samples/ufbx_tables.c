@@ -288,7 +288,6 @@ EXPORT("load") uint32_t load(uint32_t data, uint32_t size)
 	options.file_format = UFBX_FILE_FORMAT_FBX;
 	options.node_depth_limit = MOST_DEPTH;
 	options.path_separator = '/';
-	options.index_error_handling = UFBX_INDEX_ERROR_HANDLING_ABORT_LOADING;
 	options.use_blender_pbr_material = true;
 	options.skip_mesh_parts = true;
 	scene = ufbx_load_memory((const void *)(size_t)data, size, &options, &error);

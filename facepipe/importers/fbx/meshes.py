@@ -236,13 +236,16 @@ def _targets(scene: Scene, name: str, channel: int, count: int) -> list[_Target]
         row = scene.tables["shapes"][int(key["shape"])]
         indices = scene.array(row["vertices"], "<u4").astype(np.int64)
         offsets, normals = scene.array(row["offsets"], "<f8", 3), scene.array(row["normals"], "<f8", 3)
-        if len(offsets) != len(indices) or int(indices.max(initial=-1)) >= count:
-            raise scene.error(f"offsets of {ascii(name)[1:-1][:80]} of points beyond its {count}")
+        if len(offsets) != len(indices):
+            raise scene.error(f"{len(offsets)} offsets of {len(indices)} points in {ascii(name)[1:-1][:80]}")
         shares = scene.array(row["weights"], "<f8")
         if len(shares) == len(indices) and len(shares):  # Blender's vertex groups, by which it shows shapes
             offsets, normals = offsets * shares[:, None], normals * shares[: len(normals), None]
-        own = normals if len(normals) == len(indices) and normals.any() else None
-        targets.append((scene.text(row["name"]), weight, indices, offsets, own))
+        there = indices < count
+        if not there.all():
+            scene.warn(name, f"{int((~there).sum())} offsets of points that it does not have: left out")
+        own = normals[there] if len(normals) == len(indices) and normals.any() else None
+        targets.append((scene.text(row["name"]), weight, indices[there], offsets[there], own))
     return sorted({target[1]: target for target in targets}.values(), key=lambda target: target[1])
 
 

@@ -229,7 +229,10 @@ def _told(source: Path, error: InputError) -> InputError:
     """What the module said, of the file."""
     if error.where != _MODULE.stem:
         return error
-    what = "asks for far more memory than its size allows" if "unreachable" in error.what else error.what
+    what = {
+        "Failed to load": "damaged, or not as its version has it",
+        "Out of memory": "asks for far more memory than its size allows",
+    }.get(error.what, "asks for far more memory than its size allows" if "unreachable" in error.what else error.what)
     return InputError(source.name, f"can't be read as FBX: {what}")
 
 
