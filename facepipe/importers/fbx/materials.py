@@ -10,6 +10,7 @@ import io
 import ntpath
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +22,7 @@ from facepipe.core.policy.bounds import same_file
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import is_file, read_bytes
 from facepipe.importers.fbx.meshes import FIRST_UV_SET
-from facepipe.importers.fbx.scene import MAPS, NONE, Rows, Scene
+from facepipe.importers.fbx.scene import MAPS, NONE, Rows, Scene, open_scene
 from facepipe.importers.wavefront import MAX_TEXTURE_BYTES
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
 
@@ -47,6 +48,27 @@ def read_materials(
     wanted, textures = set(used), _Textures(scene, uv_sets)
     rows = zip(names, scene.tables["materials"], strict=True)
     return tuple(_material(scene, textures, name, row) for name, row in rows if name in wanted)
+
+
+def picture_names(source: Path) -> list[str]:
+    """Where the pictures that an FBX file names may lie, in its folder or below: its other paths are another machine's.
+
+    :raises InputError: no FBX, or a damaged file; wasmtime is not there
+    """
+    scene = open_scene(source)
+    rows = [row for row in scene.tables["textures"] if not row["content"]["count"]]
+    names = [name for row in rows for name in _beside(scene, row)]
+    return [name for name in names if not ntpath.splitdrive(name)[0] and ntpath.normpath(name)[:1] not in ("\\", ".")]
+
+
+def _beside(scene: Scene, row: Rows) -> list[str]:
+    """Where a picture may lie, from the folder of the file.
+
+    Absolute paths are those of the writer's machine: what is beside the file comes first.
+    """
+    relative, absolute = (scene.text(row[key]).replace("\\", "/") for key in ("relative", "absolute"))
+    names = dict.fromkeys([relative, ntpath.basename(relative), ntpath.basename(absolute), absolute])
+    return [name for name in names if name]
 
 
 @dataclass
@@ -112,15 +134,12 @@ class _Textures:
     def _file(self, row: Rows) -> bytes:
         """The bytes of a picture beside the file.
 
-        Absolute paths are those of the writer's machine: what is beside the file comes first.
-
         :raises InputError: none of its paths leads to a file that may be read
         """
         scene, folder = self.scene, self.scene.path.parent
-        relative, absolute = (scene.text(row[key]).replace("\\", "/") for key in ("relative", "absolute"))
-        names = dict.fromkeys([relative, ntpath.basename(relative), ntpath.basename(absolute), absolute])
+        names = _beside(scene, row)
         refusal: InputError | None = None
-        for name in filter(None, names):
+        for name in names:
             path = folder / name
             try:
                 check_copied(scene.where, path, scene.path)
@@ -133,7 +152,9 @@ class _Textures:
                 if path not in scene.files:
                     scene.files.append(path)
                 return data
-        raise refusal or InputError(scene.where, f"texture {ascii(relative or absolute)[1:-1][:80]} can't be found")
+        raise refusal or InputError(
+            scene.where, f"texture {ascii(names[0] if names else '')[1:-1][:80]} can't be found"
+        )
 
 
 def _as_png(data: bytes, called: str) -> bytes:
