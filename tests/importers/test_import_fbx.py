@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fbx_files import Scene, layer, layers, node, property70
+from fbx_posed import posed
 from gltf_builder import PNG
 from import_data import shared
 
@@ -17,8 +18,6 @@ from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.importers.fbx import Options
-from facepipe.parts import FaceParts
-from facepipe.rig.animation import at_times, local_transforms
 from facepipe.rig.rig import build
 from facepipe.rig.trs import rest_worlds
 
@@ -40,18 +39,6 @@ def placed(translation: Any = (0, 0, 0), degrees: float = 0.0, scale: float = 1.
     matrix = np.diag([scale, scale, scale, 1.0]) @ np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
     matrix[:3, 3] = translation
     return matrix
-
-
-def posed(parts: FaceParts, clip: str, seconds: float) -> np.ndarray:
-    """(n, 3) world points of the face as a clip has it."""
-    animation = at_times(parts.skeleton, next(one for one in parts.animations if one.name == clip), np.array([seconds]))
-    rig, local = build(parts), np.array(parts.skeleton.rest_transforms)
-    for joint, matrix in zip(animation.joints, local_transforms(parts.skeleton, animation)[0], strict=True):
-        local[parts.skeleton.joints.index(joint)] = matrix
-    weights = (
-        {} if animation.shape_weights is None else dict(zip(animation.shapes, animation.shape_weights[0], strict=True))
-    )
-    return np.asarray(rig.evaluate(weights, joint_transforms=local))
 
 
 def plain(scene: Scene, name: str = "Head", **given: Any) -> tuple[int, int]:
@@ -183,6 +170,47 @@ def test_a_mesh_shown_twice_is_two_and_mirrors_keep_their_faces(tmp_path: Path) 
     assert np.array_equal(left.points, mirrored.points)
     assert np.allclose(mirrored.transform, np.diag([-1, 1, 1, 1]))
     assert np.array_equal(mirrored.face_vertex_indices, left.face_vertex_indices)
+
+
+FORMER = """; FBX 6.1.0 project file
+FBXHeaderExtension:  {
+    FBXHeaderVersion: 1003
+    FBXVersion: 6100
+}
+Objects:  {
+    Model: "Model::Head", "Mesh" {
+        Version: 232
+        Properties60:  {
+            Property: "Lcl Translation", "Lcl Translation", "A+",0,3,0
+        }
+        Vertices: 0,0,0,1,0,0,1,1,0,0,1,0,2,0,0.5
+        PolygonVertexIndex: 0,1,2,-4,1,4,-3
+        GeometryVersion: 124
+        Shape: "smile" {
+            Indexes: 1,2
+            Vertices: 0,0,1,0,2,0
+            Normals: 0,0,0,0,0,0
+        }
+    }
+}
+Relations:  {
+    Model: "Model::Head", "Mesh" {
+    }
+}
+Connections:  {
+    Connect: "OO", "Model::Head", "Model::Scene"
+}
+"""
+
+
+def test_files_of_version_6_are_read(tmp_path: Path) -> None:
+    (mesh,) = read(FORMER.encode(), tmp_path).parts.meshes
+    assert np.array_equal(mesh.points, POINTS.astype(np.float32))
+    assert mesh.face_vertex_counts.tolist() == [4, 3]
+    assert mesh.transform[:3, 3].tolist() == [0, 3, 0]
+    assert [(one.name, one.point_indices.tolist(), one.offsets.tolist()) for one in mesh.blendshapes] == [
+        ("smile", [1, 2], [[0, 0, 1], [0, 2, 0]])
+    ]
 
 
 # ---- shapes

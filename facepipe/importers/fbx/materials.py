@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import ntpath
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -79,6 +79,7 @@ class _Textures:
     uv_sets: dict[str, str]
     _read: dict[int, Texture | None] = field(default_factory=dict)
     _known: dict[bytes, Texture] = field(default_factory=dict)
+    _files: dict[Hashable, bytes] = field(default_factory=dict)  # beside it, by `same_file`
 
     def input(
         self, number: int, channels: Channels, scale: tuple[float, ...], bias: tuple[float, ...] = (0.0,) * 4
@@ -147,14 +148,12 @@ class _Textures:
                 refusal = refusal or error
                 continue
             if is_file(path):
-                scene.budget.grant(1 << 20, same_file(path))
-                data = read_bytes(path, MAX_TEXTURE_BYTES)
-                if path not in scene.files:
+                if (key := same_file(path)) not in self._files:
+                    self._files[key] = read_bytes(path, MAX_TEXTURE_BYTES)
                     scene.files.append(path)
-                return data
-        raise refusal or InputError(
-            scene.where, f"texture {ascii(names[0] if names else '')[1:-1][:80]} can't be found"
-        )
+                return self._files[key]
+        called = ascii(next(iter(names), ""))[1:-1][:80]
+        raise refusal or InputError(scene.where, f"texture {called} can't be found")
 
 
 def _as_png(data: bytes, called: str) -> bytes:
