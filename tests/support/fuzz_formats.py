@@ -34,6 +34,7 @@ from bone_faces import save_sources
 from faces import clipped_face, tiny_face
 from full_faces import full_face, good_face
 from fuzz_farm import FARM
+from fuzz_fbx import damage_fbx, put_ascii, put_binary
 from fuzz_meshes import damaged_off, damaged_ply, damaged_stl
 from fuzz_remains import REMAINS
 from fuzz_stage import damaged_stage
@@ -1131,6 +1132,15 @@ FORMATS: dict[str, Format] = {
             **{f"draco, {name}": put_draco(name) for name in draco_files.FILES},
         },
         damage_gltf,
+    ),
+    "fbx": Format(
+        {
+            "deflated": put_binary,
+            "plain": lambda: put_binary(deflate=False),
+            "ascii": put_ascii,
+            **{f"nodes {number}": put_binary for number in range(4)},
+        },
+        damage_fbx,
     ),
     "files of others": Format({"gltf": put_foreign_gltf, "usda": put_foreign_stage}, damage_foreign),
     "vrm": Format(

@@ -266,11 +266,6 @@ class Names:
         return self._known[key]
 
 
-def joint_identifier(name: str) -> str:
-    """The part of a joint's path that stands for `name`."""
-    return names.identifier(name[:_LONGEST], "joint")
-
-
 @dataclass
 class Document:
     """A parsed document. `warnings` grows while it is read."""

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.core.policy.bounds import check_counts
 from facepipe.declare import check_ranges
-from facepipe.geometry.vectors import transformed, unit_vectors
-from facepipe.parts import FaceParts, Mesh, Skin, identity
+from facepipe.parts import FaceParts, Mesh, Skin
+from facepipe.rig.binding import placed
 from facepipe.stage.recipes import Imported, import_recipe, with_units
 from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe_gltf.read import meshes, primitives
@@ -40,33 +39,6 @@ _READ = ("facepipe", "targetNames")  # keys of extras
 _NEAREST = (9728, 9984, 9986)  # texture filters
 _FILTERS = ("magFilter", "minFilter")
 _LISTED = 4
-
-
-def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
-    """A skinned `mesh` with its points moved by `matrix` (mesh space -> skeleton space at bind), so in metres.
-
-    A matrix that mirrors or flattens would turn faces inside out: it becomes the geomBind instead.
-    """
-    if mesh.skin is None or np.array_equal(matrix, identity()):
-        return mesh
-    determinant = float(np.linalg.det(matrix[:3, :3]))
-    if not 1e-30 < determinant < 1e30:
-        return replace(mesh, skin=replace(mesh.skin, geom_bind_transform=matrix))
-    # det(A)^(1/3) A^-T is the rotation of a scaled rotation: normal offsets are not normalised, and keep their length
-    turn: FloatArray = np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant)
-
-    def offset(values: FloatArray) -> FloatArray:
-        return (np.asarray(values, np.float64) @ matrix[:3, :3].T).astype(np.float32)
-
-    def normal(values: FloatArray) -> FloatArray:
-        return (np.asarray(values, np.float64) @ turn.T).astype(np.float32)
-
-    return replace(
-        mesh,
-        points=transformed(mesh.points, matrix).astype(np.float32),
-        normals=None if mesh.normals is None else unit_vectors(normal(mesh.normals)),
-        blendshapes=tuple(shape.changed(offset, normal) for shape in mesh.blendshapes),
-    )
 
 
 _COPIES = 4  # that what is made of a mesh takes at once, at least
@@ -158,7 +130,7 @@ class Assembly:
         if self.recorded:
             return named
         if skin >= 0:
-            return _placed(named, self.joints.skins[skin].geom_bind)
+            return placed(named, self.joints.skins[skin].geom_bind)
         # without a skin: carried by the joint that it hangs on, or placed once and for all
         held = self.joints.holding(self.nodes, node)
         if held is None:
@@ -167,7 +139,7 @@ class Assembly:
         count = len(mesh.points)
         document.budget.spend(64 * count, value.error)
         own = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
-        return _placed(replace(named, skin=own), self.joints.skeleton.bind_transforms[joint] @ to_joint)
+        return placed(replace(named, skin=own), self.joints.skeleton.bind_transforms[joint] @ to_joint)
 
 
 def read(source: Path, options: Options) -> Imported:
