@@ -147,6 +147,7 @@ FIELDS = (
         "check_written",
         _WITHIN,
     ),
+    FileField("FBX", "pictures", "facepipe.importers.fbx.materials:_Textures._file", "check_copied", _BELOW),
     FileField("OBJ, MTL", "mtllib, map_Kd", "facepipe.importers.wavefront:_beside", "check_copied", _BELOW),
     FileField("ONNX", "external_data location", "facepipe_onnx.read:_tensor_problem", "", "refused, whatever it says"),
     FileField("landmarks JSON", "image", "facepipe.photo.fit.photo_landmarks:read_landmarks", "", _CONFORMS),

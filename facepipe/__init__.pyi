@@ -109,7 +109,7 @@ def animate(
     :param left_eye: joint that LeftEyeYaw ... turn, or none; as --head
     :param right_eye: joint that RightEyeYaw ... turn, or none; as --head
     :param face: face stage
-    :param clip: performance: .csv .tsv .txt .json .jsonl .usd .usda .usdc .usdz .glb .gltf .vrm
+    :param clip: performance: .csv .tsv .txt .json .jsonl .usd .usda .usdc .usdz .glb .gltf .vrm .fbx
     :param name: name of the animation (default: the file's)
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there

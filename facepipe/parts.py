@@ -339,6 +339,7 @@ class Material:
     clearcoat: float | TextureInput = 0.0  # a clear layer over it, such as tears or lip gloss
     clearcoat_roughness: float | TextureInput = 0.01
     unlit: bool = False  # shown as its colour is, without light: glTF's KHR_materials_unlit, which USD has no word for
+    variants: Mapping[str, str] = field(default_factory=dict)  # variant of the face -> material shown in its place
     label: str | None = None  # as of a blendshape
 
     @property
@@ -431,6 +432,11 @@ class FaceParts:
     def shapes(self) -> tuple[str, ...]:
         """Names of its blendshapes, each once, in the order of the meshes."""
         return tuple(dict.fromkeys(shape.name for mesh in self.meshes for shape in mesh.blendshapes))
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the variants that show other materials, each once; none for most faces."""
+        return tuple(dict.fromkeys(variant for material in self.materials for variant in material.variants))
 
     @property
     def gltf_axes(self) -> FloatArray:

@@ -23,7 +23,7 @@ from facepipe_gltf.animations import AnimationWriter, JointNodes, joint_nodes
 from facepipe_gltf.baking import Baked, Sculpt, bake, extras, storage_error, weight_error
 from facepipe_gltf.buffers import MESHOPT, Buffers, Chunk, Encoding
 from facepipe_gltf.losses import check, dropped, influence_error, listed_meshes, skin_warnings
-from facepipe_gltf.materials import Image, MaterialWriter
+from facepipe_gltf.materials import VARIANTS, Image, MaterialWriter
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
@@ -359,6 +359,8 @@ class _Writer:
         document: Json = {"asset": asset, "scene": 0, "scenes": [scene_entry]}
         # the schema knows no empty lists: one item or more, or no key
         document |= {key: value for key, value in lists.items() if value}
+        if VARIANTS in self.materials.extensions:
+            document["extensions"] = {VARIANTS: {"variants": [{"name": name} for name in self.materials.variants]}}
         if extras is not None:
             document["extras"] = extras
         return Document(

@@ -192,6 +192,7 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     unkept = [one.name for one in parts.photos if one.name not in photos]
     lines += _counted("camera of a photo", "cameras of photos", unkept)
     used = {name for baked in meshes for name in _materials(baked.mesh)} | {one.name for one in kept.materials}
+    used |= {other for one in parts.materials if one.name in used for other in one.variants.values()}
     unused = [material.name for material in parts.materials if material.name not in used]
     lines += _counted("material that no mesh uses", "materials that no mesh uses", unused)
     if parts.attach_joint is not None and not any(baked.influences is not None for baked in meshes):

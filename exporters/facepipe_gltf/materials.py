@@ -20,6 +20,7 @@ from facepipe.records import Json
 
 Pixels = npt.NDArray[np.uint8]
 
+VARIANTS = "KHR_materials_variants"
 _WRAP = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
@@ -150,6 +151,7 @@ class Surface:
     index: int
     tangent_uv: int | None  # the UV set of its normal map, which gets tangents
     colored: bool  # COLOR_0 may multiply it
+    mappings: tuple[Json, ...] = ()  # what variants show in its place, as KHR_materials_variants has it
 
 
 class MaterialWriter:
@@ -162,6 +164,7 @@ class MaterialWriter:
         self.extensions: set[str] = set()
         self._by_name = {material.name: material for material in materials}
         self._surfaces: dict[tuple[str | None, tuple[str, ...], bool, bool], Surface] = {}
+        self.variants = tuple(dict.fromkeys(variant for material in materials for variant in material.variants))
 
     @property
     def names(self) -> tuple[str | None, ...]:
@@ -169,10 +172,33 @@ class MaterialWriter:
         return tuple(name for name, *_ in self._surfaces)
 
     def surface(self, name: str | None, mesh: Mesh) -> Surface:
-        """The material `name` as `mesh` needs it; None is UsdPreviewSurface's default.
+        """The material `name` as `mesh` needs it, with what variants show in its place; None is UsdPreviewSurface's
+        default.
 
         :raises ExportError: there is no such material
         """
+        own = self._surface(name, mesh)
+        shown = {} if name is None else self._by_name[name].variants
+        if not shown:
+            return own
+        # each variant is named: some readers, as Babylon.js, leave what an earlier one showed where a mapping lacks
+        others = [self._surface(shown.get(variant, name), mesh) for variant in self.variants]
+        numbers: dict[int, list[int]] = {}
+        for variant, other in enumerate(others):
+            numbers.setdefault(other.index, []).append(variant)
+        self.extensions.add(VARIANTS)
+        # one set of vertices serves them all: it has tangents where one needs them, and colours where none would be off
+        mapped = list(dict.fromkeys(one.tangent_uv for one in (own, *others) if one.tangent_uv is not None))
+        if len(mapped) > 1:
+            self.textures.warn(f"{name}: normal maps of its variants read other UV sets, the tangents are of the first")
+        return replace(
+            own,
+            tangent_uv=mapped[0] if mapped else None,
+            colored=all(one.colored for one in (own, *others)),
+            mappings=tuple({"material": index, "variants": listed} for index, listed in numbers.items()),
+        )
+
+    def _surface(self, name: str | None, mesh: Mesh) -> Surface:
         if name is not None and name not in self._by_name:
             raise ExportError(f"{mesh.name} -> material {name}", "not among the face's materials")
         uv_names = tuple(uv_set.name for uv_set in mesh.uv_sets)

@@ -10,7 +10,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.records import Json
 from facepipe_gltf.baking import Baked, Vertices, rows_of, table_of, vertices_of, without_small
 from facepipe_gltf.buffers import Buffers, Encoded, Encoding, Rows
-from facepipe_gltf.materials import Surface
+from facepipe_gltf.materials import VARIANTS, Surface
 from facepipe_gltf.options import Options
 from facepipe_gltf.record_format import material_groups
 
@@ -98,6 +98,8 @@ class PrimitiveWriter:
                 "indices": self._buffers.add(vertices.triangles.astype(kind).ravel(), "index"),
                 "material": surface.index,
             }
+            if surface.mappings:
+                primitive["extensions"] = {VARIANTS: {"mappings": list(surface.mappings)}}
             if targets:
                 primitive["targets"] = [
                     {

@@ -73,6 +73,7 @@ def _husk(
         network = None
     # the materials whose images are in the file, with digests in place of images
     used = {name for mesh in meshes for name, _ in by_material(mesh)}
+    used |= {other for one in parts.materials if one.name in used for other in one.variants.values()}
     # how the face was made before it went through glTF: an import of our own file notes it
     recipe = parts.recipe
     if recipe is not None and recipe.verb == "import gltf" and "made" in recipe.options:

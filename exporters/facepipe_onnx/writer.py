@@ -293,6 +293,7 @@ def _dropped(parts: FaceParts, options: Options, sliders: Sequence[Slider] | Non
         (len(parts.meshes) if options.sliders and not options.points else 0, "meshes"),
         (len(parts.animations), "animations"),
         (len(parts.materials), "materials"),
+        (len(parts.variants), "variants of materials"),
         (sum(len(mesh.uv_sets) for mesh in parts.meshes), "UV sets"),
         (sum(mesh.normals is not None for mesh in parts.meshes), "meshes with authored normals"),
         (len(sculpted), "blendshapes with normal offsets"),

@@ -344,7 +344,7 @@ def blending_of(path: Path, folder: Path, server: Server) -> Blending | None:
     """
     from facepipe.hosting.live_blend import LiveBlend
 
-    live = None if path.suffix.lower() in (".glb", ".vrm") else LiveBlend.from_stage(path)
+    live = None if path.suffix.lower() in (".glb", ".vrm", ".fbx") else LiveBlend.from_stage(path)
     return None if live is None else Blending(path, live, folder, server)
 
 

@@ -76,6 +76,7 @@ CHECKS: tuple[Check, ...] = (
     Check("HasMesh", face_checks.has_mesh),
     Check("Plausible", face_checks.plausible, "warning"),
     Check("Textures", face_checks.textures),
+    Check("MaterialVariants", face_checks.material_variants),
     Check("ReadableValues", face_checks.readable_values),
     Check("Finite", face_checks.finite),
     Check("MeshTopology", mesh_checks.topology),

@@ -21,6 +21,7 @@ from facepipe.registry import neural_rigs
 from facepipe.rig import CHANNELS, implausible
 from facepipe.rig.sliders import curve_fault
 from facepipe.stage import Face
+from facepipe.stage.material_variants import read_variants
 from facepipe.stage.materials import read_image
 from facepipe.stage.photos import LIGHT_ROWS, MOST_PIXELS, is_photo, key_fault, read_key_lamp
 from facepipe.stage.prims import authored_skel_properties, exact_name
@@ -89,6 +90,17 @@ def textures(face: FaceView) -> Iterator[Problem]:
             images.add(given.resolvedPath)
         except InputError as error:
             yield at(prim, error.what)
+
+
+def material_variants(face: FaceView) -> Iterator[Problem]:
+    """Variants of materials bind materials of the face, each in the same way wherever it is shown."""
+    if face.prim is None:
+        return
+    names = {str(prim.GetPath()): str(prim.GetPath()) for prim in face.of_type(UsdShade.Material)}
+    try:
+        read_variants(face.prim, face.prim.GetName()).of_materials(face.prim.GetName(), names)
+    except FacepipeError as error:
+        yield at(face.prim, f"{str(error.where).rpartition(' -> ')[2]} {error.what}")
 
 
 def face_prim(face: FaceView) -> Iterator[Problem]:

@@ -5,6 +5,7 @@ examples:
   facepipe import makehuman makehuman_head.npz mh.usda --targets nose/nose-scale-horiz-incr=0.5
   facepipe import obj shapes/ face.usdc
   facepipe import gltf head.glb head.usda
+  facepipe import fbx head.fbx head.usda
   facepipe import usd others.usd face.usda
   facepipe import gltf avatar.glb face.usda --rename arkit
 """

@@ -17,6 +17,7 @@ ATTRIBUTION = "facepipe:attribution"
 PERSON = "facepipe:person"
 VRM = "facepipe:vrm"
 VERSION = "facepipe:version"
+VARIANT_NAME = "facepipe:shadingVariant"
 ANCHOR = "facepipe:anchor"
 BONE_COEFFICIENTS = "facepipe:boneCoefficients"
 LIMITS_LOWER = "facepipe:boneLimits:lower"
@@ -60,6 +61,8 @@ SLIDER_PREFIX = "facepipe:slider:"
 CONTROL_PREFIX = "facepipe:control:"  # of rigs that facepipe doesn't know: numbers with time samples
 
 LEVELS = "lod"  # the variant set of a face's levels of detail: lod0, lod1 ...
+VARIANTS = "shadingVariant"  # the variant set of a face's materials
+DEFAULT_VARIANT = "default"  # its variant with the materials that the face has without variants
 MATERIALS_SCOPE = "Materials"
 ANIMATIONS_SCOPE = "Animations"
 PHOTOS_SCOPE = "Photos"

@@ -226,6 +226,10 @@ def named(path: Path) -> set[Path]:
         lists = [one for one in (document.get("buffers"), document.get("images")) if isinstance(one, list)]
         uris = [one.get("uri") for entries in lists for one in entries if isinstance(one, dict)]
         names = [unquote(uri) for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
+    elif suffix == ".fbx":
+        from facepipe.importers.fbx.materials import picture_names
+
+        names = picture_names(path)
     elif suffix == ".obj":
         names = _MTLLIB.findall(_text(path))
     elif suffix == ".mtl":

@@ -219,6 +219,8 @@ def edited_face(
         animations=tuple(animation for animation in before.animations if joints.issuperset(animation.joints)),
         materials=made.materials,
     )
+    if before.variants and not parts.variants:
+        warnings.append("variants of materials left out: the materials are the host's")
     if len(parts.animations) < len(before.animations):
         warnings.append("animations of joints that are gone: left out")
     if before.recipe is not None:

@@ -72,7 +72,8 @@ def face_layer(parts: FaceParts) -> Sdf.Layer:
 
 def face_to_bytes(parts: FaceParts) -> bytes:
     """The face as the bytes of a .usdc file, of materials only the names."""
-    layer = face_layer(replace(parts, materials=tuple(Material(name=material.name) for material in parts.materials)))
+    names = tuple(Material(name=material.name, variants=material.variants) for material in parts.materials)
+    layer = face_layer(replace(parts, materials=names))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "face.usdc"
         save_layer(layer, file)

@@ -56,7 +56,7 @@ def kind_of(path: str | Path) -> str:
     :raises InputError: no importer reads such files, or several may
     """
     suffix = Path(path).suffix.lower()
-    known = {".obj": "obj"}
+    known = {".fbx": "fbx", ".obj": "obj"}
     for kind in registry.importers():
         known |= dict.fromkeys(getattr(importer(kind), "SUFFIXES", ()), kind)
     if suffix not in known:

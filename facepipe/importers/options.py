@@ -117,7 +117,23 @@ class UsdOptions:
     up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")
 
 
+@dataclass(frozen=True, kw_only=True)
+class FbxOptions:
+    """Options of reading an FBX file."""
+
+    fps: float | None = option(
+        None,
+        "frames per second that animations are sampled at; the file's frames and all keys where not given",
+        1.0,
+        1000.0,
+    )
+    strict: bool = option(False, "refuse a file with a texture that can't be read, in place of leaving that out")
+    meters_per_unit: float | None = option(None, "metres in a unit, in place of what the file declares", 1e-6, 1e3, "m")
+    up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")
+
+
 OPTIONS: dict[str, type] = {  # of the kinds in this folder
+    "fbx": FbxOptions,
     "ict": IctOptions,
     "makehuman": MakeHumanOptions,
     "obj": ObjOptions,

@@ -16,6 +16,7 @@ from facepipe.core.policy.bounds import check_counts
 from facepipe.parts import FaceParts
 from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
+from facepipe.stage.material_variants import Bindings, check_variants
 from facepipe.stage.materials import author_materials, textures_of
 from facepipe.stage.photos import author_photo_changes, check_photos
 from facepipe.stage.prims import apply_schema, put_value
@@ -67,6 +68,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
         "Shader": sum(1 + 2 * len(material.textured) for material in parts.materials),
     }
     check_counts(parts.name, counts)
+    check_variants(parts.name, len(parts.variants), sum(1 + len(mesh.material_faces) for mesh in parts.meshes))
     require_finite(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
     path = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}").GetPath()
@@ -88,12 +90,14 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
         author_limits(skeleton.GetPrim(), parts.bone_limits)
     scope = path.AppendChild(tokens.MATERIALS_SCOPE)
     materials = author_materials(stage, scope, parts.materials, textures or {}) if parts.materials else {}
+    bindings = Bindings(parts.name, materials, {material.name: material.variants for material in parts.materials})
     taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
     taken += [tokens.PHOTOS_SCOPE] if parts.photos else []
     # a mesh called like the Skeleton or a scope would be defined as that very prim
     names = unique_identifiers([*taken, *(mesh.name for mesh in parts.meshes)])[len(taken) :]
     for mesh, name in zip(parts.meshes, names, strict=True):
-        author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
+        author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, bindings)
+    bindings.author(prim)
     if parts.animations:
         scope = path.AppendChild(tokens.ANIMATIONS_SCOPE)
         UsdGeom.Scope.Define(stage, scope)

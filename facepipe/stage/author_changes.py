@@ -23,6 +23,7 @@ from facepipe.stage.author_mesh import (
     check_mesh_change,
 )
 from facepipe.stage.face import Face
+from facepipe.stage.material_variants import Bindings
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import check_property_name, editable, prims_below, put, put_value, remove_schema
 from facepipe.stage.read_mesh import read_point_values
@@ -100,6 +101,9 @@ def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
     at, meshes = face.stage.GetPrimAtPath, [face.mesh_prim(mesh.name).GetPath() for mesh in face.meshes]
     for path in meshes:
         editable(at(path))
+    materials = {label: UsdShade.Material(at(path)) for path, label in face.material_names.items()}
+    variants = face.material_variants
+    bindings = Bindings(face.where, materials, variants.of_materials(face.where, face.material_names))
     levels_of = face.prim.GetVariantSets().AddVariantSet(tokens.LEVELS)
     names = [f"{tokens.LEVELS}{number}" for number in range(len(levels) + 1)]
     for name in names:
@@ -110,7 +114,6 @@ def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
             for path in meshes:
                 at(path).SetActive(False)
             (skeleton,) = (UsdSkel.Skeleton(at(path)) for path in _paths(face, UsdSkel.Skeleton))
-            materials = {label: UsdShade.Material(at(path)) for path, label in face.material_names.items()}
             taken = [str(child.GetName()) for child in face.prim.GetAllChildren()]
             children = unique_identifiers([*taken, *(f"{mesh.name}_{name}" for mesh in level)])[len(taken) :]
             # meshes are in the world, while the prims to be stand below the face
@@ -119,8 +122,9 @@ def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
             for mesh, child in zip(level, children, strict=True):
                 here = replace(mesh, transform=to_face @ mesh.transform)
                 path = face.prim.GetPath().AppendChild(child)
-                author_mesh(face.stage, path, here, skeleton, face.skeleton.joints, materials)
+                author_mesh(face.stage, path, here, skeleton, face.skeleton.joints, bindings)
     levels_of.SetVariantSelection(names[0])
+    bindings.author(face.prim, variants.identifiers)
 
 
 def _check(face: Face, old: FaceParts, new: FaceParts) -> None:

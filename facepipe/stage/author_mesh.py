@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import Blendshape, Mesh, Skin
+from facepipe.stage.material_variants import Bindings
 from facepipe.stage.prims import (
     apply_schema,
     author_data_label,
@@ -104,7 +105,7 @@ def author_mesh(
     mesh: Mesh,
     skeleton: UsdSkel.Skeleton,
     joints: tuple[str, ...],
-    materials: Mapping[str, UsdShade.Material],
+    bindings: Bindings,
 ) -> UsdGeom.Mesh:
     """Define one mesh with its shapes, skin, regions and subsets.
 
@@ -134,17 +135,12 @@ def author_mesh(
     wanted = (*(f"{part.material}_faces" for part in mesh.material_faces), *(shape.name for shape in mesh.blendshapes))
     names = unique_identifiers([*mesh.point_subsets, *wanted])
 
-    def bind(target: Usd.Prim, material: str) -> None:
-        if material not in materials:
-            raise InputError(prim.GetPath(), f"no material '{material}'")
-        UsdShade.MaterialBindingAPI.Apply(target).Bind(materials[material])
-
     if mesh.material:
-        bind(prim.GetPrim(), mesh.material)
+        bindings.bind(prim.GetPrim(), mesh.material)
     if mesh.material_faces:
         api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
         for name, part in zip(names[subsets : subsets + faces], mesh.material_faces, strict=True):
-            bind(api.CreateMaterialBindSubset(name, to_ints(part.faces)).GetPrim(), part.material)
+            bindings.bind(api.CreateMaterialBindSubset(name, to_ints(part.faces)).GetPrim(), part.material)
         whole = sum(len(part.faces) for part in mesh.material_faces) == len(mesh.face_vertex_counts)
         api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
     if mesh.skin or mesh.blendshapes:

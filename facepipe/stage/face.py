@@ -32,6 +32,7 @@ from facepipe.parts import (
 from facepipe.rig import Person, Rig, build, person_of, sample_transforms, sample_weights, slide
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, level_names, open_stage, over, stage_at
+from facepipe.stage.material_variants import Variants, read_variants
 from facepipe.stage.materials import Images, author_texture, read_material, textures_of
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, editable, is_applied, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
@@ -188,7 +189,15 @@ class Face:
             images: Images = {}
             named = ((self.stage.GetPrimAtPath(path), name) for path, name in self.material_names.items())
             read = [read_material(prim, name, images) for prim, name in named]
-            return self._finite(tuple(material for material in read if material is not None))
+            variants = self.material_variants.of_materials(self.where, self.material_names)
+            found = (replace(one, variants=variants.get(one.name, {})) for one in read if one is not None)
+            return self._finite(tuple(found))
+
+    @cached_property
+    def material_variants(self) -> Variants:
+        """The variants of its materials, by the prims that they change."""
+        with errors_below(self.where):
+            return read_variants(self.prim, self.where)
 
     @cached_property
     def photos(self) -> tuple[PhotoView, ...]:

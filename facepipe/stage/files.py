@@ -14,7 +14,7 @@ import os
 import re
 import struct
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -308,37 +308,15 @@ def lower_levels(stage: Usd.Stage) -> Iterator[Usd.Stage]:
 
 def stage_at(stage: Usd.Stage, path: Sdf.Path, name: str) -> Usd.Stage:
     """Another stage of the same layers, with the face prim at a level."""
+    return next(at_variants(stage, path, tokens.LEVELS, [name]))
+
+
+def at_variants(stage: Usd.Stage, path: Sdf.Path, variant_set: str, names: Iterable[str]) -> Iterator[Usd.Stage]:
+    """Another stage of the same layers, with a prim at one of its variants after the other."""
     session = Sdf.Layer.CreateAnonymous(".usda")
-    at_level = Usd.Stage.Open(stage.GetRootLayer(), session)
-    with Usd.EditContext(at_level, session):
-        at_level.GetPrimAtPath(path).GetVariantSet(tokens.LEVELS).SetVariantSelection(name)
-    return at_level
-
-
-def flattened(stage: Usd.Stage) -> Sdf.Layer:
-    """All that a stage shows in one layer, with the other levels of its face where it shows the finest."""
-    layer, prim = stage.Flatten(), stage.GetDefaultPrim()
-    names = level_names(prim) if prim else ()
-    if not names or prim.GetVariantSet(tokens.LEVELS).GetVariantSelection() != names[0]:
-        return layer
-    spec = layer.GetPrimAtPath(prim.GetPath())
-    spec.variantSetNameList.prependedItems = [tokens.LEVELS]
-    levels_of = Sdf.VariantSetSpec(spec, tokens.LEVELS)
-    Sdf.VariantSpec(levels_of, names[0])
-    # `Flatten` keeps the selected variant alone: of the others what they turn off and what they add is written anew
-    for name, level in zip(names[1:], lower_levels(stage), strict=True):
-        place, flat = Sdf.VariantSpec(levels_of, name).primSpec, level.Flatten()
-        for full in Usd.PrimRange(prim):
-            same = level.GetPrimAtPath(full.GetPath())
-            if same and not same.IsActive():
-                below = full.GetPath().MakeRelativePath(prim.GetPath())
-                Sdf.CreatePrimInLayer(layer, place.path.AppendPath(below)).active = False
-        for child in level.GetPrimAtPath(prim.GetPath()).GetChildren():
-            if not prim.GetChild(child.GetName()):
-                Sdf.CopySpec(flat, child.GetPath(), layer, place.path.AppendChild(child.GetName()))
-    spec.variantSelections[tokens.LEVELS] = names[0]
-    # `Sdf.CopySpec` copies fields in the order that their names have in memory, which is that in which threads first
-    # met them, and crate files keep it; text has them in one order, so that every run writes the same bytes
-    ordered = Sdf.Layer.CreateAnonymous(".usda")
-    ordered.ImportFromString(layer.ExportToString())
-    return ordered
+    session.subLayerPaths.append(stage.GetSessionLayer().identifier)
+    other = Usd.Stage.Open(stage.GetRootLayer(), session)
+    other.SetEditTarget(session)
+    for name in names:
+        other.GetPrimAtPath(path).GetVariantSet(variant_set).SetVariantSelection(name)
+        yield other

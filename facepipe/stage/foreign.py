@@ -32,7 +32,8 @@ from facepipe.stage.foreign_scene import (
     mend_meshes,
     note_custom,
 )
-from facepipe.stage.prims import distinct_names, inherited_attribute, inherited_skeleton
+from facepipe.stage.material_variants import Variants, read_variants
+from facepipe.stage.prims import distinct_names, inherited_attribute, inherited_skeleton, is_applied
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton, read_vrm, vrm_text
 from facepipe.stage.sliders import read_slider_network, read_sliders
@@ -238,7 +239,10 @@ def read_foreign(
 def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
     skeleton = Skeleton() if prim is None else read_skeleton(prim)
     names = distinct_names(meshes, [str(mesh.GetName()) for mesh in meshes])
-    material_names, materials = bound_materials(scene, meshes)
+    # of faces of ours: what others call so may change more than materials
+    faces = [one for one in _prims(scene) if is_applied(one, tokens.FACE_API)]
+    variants = _sound(scene, "variants of materials", read_variants, faces[0], scene.path.name) if faces else None
+    material_names, materials = bound_materials(scene, meshes, variants or Variants())
     queries = bindings(scene)
     read = []
     for mesh, name in zip(meshes, names, strict=True):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import damage_of
 from facepipe.core.names import unknown
 from facepipe.parts import Material
@@ -19,9 +20,10 @@ from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
 from facepipe.stage.foreign_motion import moving_of
 from facepipe.stage.layer_files import name_of
+from facepipe.stage.material_variants import Variants
 from facepipe.stage.materials import USD_NAMES, Images, read_material
 from facepipe.stage.materialx import read_materialx, unread_inputs
-from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, prims_below
+from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, is_applied, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints, reads_prim
 
@@ -166,7 +168,8 @@ def _variants_in_effect(prims: Iterable[Usd.Prim], chosen: Mapping[str, str]) ->
         for name in prim.GetVariantSets().GetNames():
             variants = prim.GetVariantSets().GetVariantSet(name)
             names, current = variants.GetVariantNames(), variants.GetVariantSelection()
-            if name not in chosen and names != [current]:
+            whole = name == tokens.VARIANTS and is_applied(prim, tokens.FACE_API)  # read with all of them
+            if name not in chosen and names != [current] and not whole:
                 sets.setdefault((name, current, tuple(names)), []).append(f"<{prim.GetPath()}>")
     return [
         f"{owners[0]}{f' and {len(owners) - 1} more' if len(owners) > 1 else ''}: variant {current or 'none'} of the "
@@ -292,8 +295,11 @@ def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
     return queries
 
 
-def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str], tuple[Material, ...]]:
-    """Names by prim path, and the materials, of those bound to meshes or their faces that are UsdPreviewSurface."""
+def bound_materials(
+    scene: Scene, meshes: list[Usd.Prim], variants: Variants
+) -> tuple[dict[str, str], tuple[Material, ...]]:
+    """Names by prim path, and the materials, of those bound to meshes or their faces that are UsdPreviewSurface, by
+    variants too."""
     bound: dict[str, Usd.Prim] = {}
     for mesh in meshes:
         subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh))
@@ -301,13 +307,21 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
             material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
             if material:
                 bound[str(material.GetPath())] = material.GetPrim()
+    for path in (path for at_variant in variants.others.values() for path in at_variant.values() if path):
+        bound.setdefault(str(path), scene.stage.GetPrimAtPath(path))
     names = dict(
         zip(bound, distinct_names([*bound.values()], [str(prim.GetName()) for prim in bound.values()]), strict=True)
     )
     images: Images = {}
     read = {path: _read(scene, prim, names[path], images) for path, prim in bound.items()}
-    materials = tuple(material for material in read.values() if material is not None)
-    return {path: names[path] for path, material in read.items() if material is not None}, materials
+    names = {path: names[path] for path, material in read.items() if material is not None}
+    try:
+        shown = variants.of_materials(str(scene.path), names)
+    except SchemaError as error:
+        scene.warn(f"{error}: variants of materials left out")
+        shown = {}
+    kept = (replace(one, variants=shown.get(one.name, {})) for one in read.values() if one is not None)
+    return names, tuple(kept)
 
 
 def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material | None:

@@ -17,7 +17,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.core.policy.paths import check_written
 from facepipe.parts import Texture
-from facepipe.stage.files import check_suffix, flattened, relative_path, save_layer
+from facepipe.stage.files import check_suffix, relative_path, save_layer
+from facepipe.stage.flattening import flattened
 from facepipe.stage.layer_files import name_of
 from facepipe.stage.materials import images_of
 

@@ -70,6 +70,7 @@ def _with_sets(mesh: Mesh, known: dict[str, Material], target: dict[tuple[str, U
     :param known: materials by name
     """
     bound = dict.fromkeys([mesh.material, *(one.material for one in mesh.material_faces)])
+    bound |= dict.fromkeys(other for name in bound if name in known for other in known[name].variants.values())
     used = [one for name in bound if name in known for one in known[name].textured.values()]
     sets = list(mesh.uv_sets)
     moving = dict.fromkeys((one.uv_set, one.uv_transform) for one in used if one.uv_transform != IDENTITY)

@@ -37,6 +37,7 @@ class InspectReport(Report):
     animations: tuple[str, ...]
     sliders: tuple[str, ...]
     materials: tuple[str, ...]
+    variants: tuple[str, ...]  # of the materials
     photos: tuple[str, ...]
     levels: Mapping[str, int]  # of detail -> faces
     person: str
@@ -60,6 +61,7 @@ class InspectReport(Report):
                 (key, _listing(getattr(self, "joint_names" if key == "joints" else key)))
                 for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
             ],
+            *[("variants", _listing(self.variants)) for _ in self.variants[:1]],
             *[("photos", _listing(self.photos)) for _ in self.photos[:1]],
             *[
                 ("levels", ", ".join(f"{name} ({count:,} faces)" for name, count in levels.items()))
@@ -136,6 +138,7 @@ def report_of(face: Face) -> InspectReport:
         animations=tuple(animation.name for animation in parts.animations),
         sliders=tuple(slider.name for slider in parts.sliders),
         materials=tuple(material.name for material in parts.materials),
+        variants=parts.variants,
         photos=tuple(photo.name for photo in parts.photos),
         levels={
             name: sum(len(mesh.face_vertex_counts) for mesh in face.at_level(number).meshes)

@@ -128,6 +128,19 @@ def no_image(stage: Usd.Stage) -> None:
     shaders[0].GetAttribute("inputs:file").Set(Sdf.AssetPath(__file__))
 
 
+def variant_of_nothing(stage: Usd.Stage) -> None:
+    """The head's material is gone in one of two variants."""
+    spec = stage.GetRootLayer().GetPrimAtPath("/Tiny/Head")
+    target = spec.relationships["material:binding"].targetPathList.explicitItems[0]
+    del spec.properties["material:binding"]
+    chosen = stage.GetPrimAtPath("/Tiny").GetVariantSets().AddVariantSet("shadingVariant")
+    for name, shown in (("dark", "/Tiny/Materials/gone"), ("default", target)):
+        chosen.AddVariant(name)
+        chosen.SetVariantSelection(name)
+        with chosen.GetVariantEditContext():
+            stage.GetPrimAtPath("/Tiny/Head").CreateRelationship("material:binding", False).SetTargets([shown])
+
+
 def second_skeleton(stage: Usd.Stage) -> None:
     UsdSkel.BindingAPI.Apply(UsdSkel.Skeleton.Define(stage, "/Tiny/Other").GetPrim())
 
@@ -326,6 +339,7 @@ DEFECTS: dict[str, tuple[Callable[[Usd.Stage], None], set[str]]] = {
     "no mesh": (no_mesh, {"HasMesh", "AnimationNames"}),  # clips name shapes that are gone with the meshes
     "up axis X": (x_up, {"StageUnits"}),
     "texture that is no image": (no_image, {"Textures"}),
+    "variant of a material that is gone": (variant_of_nothing, {"MaterialVariants"}),
     "metersPerUnit not authored": (no_units, {"StageUnits"}),
     "upAxis not authored": (no_up_axis, {"StageUnits"}),
     "two skeletons": (second_skeleton, {"SkeletonCount"}),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fbx_files import Scene
 
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
@@ -17,7 +18,11 @@ fsspec = pytest.importorskip("fsspec")
 ROOT = "memory://show/src"
 HEAD = "#usda 1.0\n(\n    subLayers = [@../body.usda@, @/etc/hostname.usda@]\n)\n"
 BODY = '#usda 1.0\ndef "A" (references = @parts/eye.usda@</Eye>)\n{\n    asset skin = @./skin.<UDIM>.png@\n}\n'
-FILES = {
+FBX = Scene()
+FBX.texture(FBX.material(FBX.model("Head"), "skin"), "DiffuseColor", "tex\\a.png", "C:\\art\\a.png")
+FBX.texture(FBX.material(FBX.model("Eye"), "eye"), "DiffuseColor", "..\\..\\..\\elsewhere\\b.png")
+FILES: dict[str, str | bytes] = {
+    "src/scan/b.fbx": FBX.binary(),
     "src/heads/ada.usda": HEAD,
     "src/body.usda": BODY,
     "src/parts/eye.usda": '#usda 1.0\ndef "Eye"\n{\n    asset iris = @iris.png@\n    asset lost = @lost.png@\n}\n',
@@ -38,7 +43,7 @@ def copies(tmp_path: Path) -> Iterator[Mirror]:
     """A mirror of a store in this process's memory."""
     store = fsspec.filesystem("memory")
     for name, text in FILES.items():
-        store.pipe_file(f"/show/{name}", text.encode())
+        store.pipe_file(f"/show/{name}", text if isinstance(text, bytes) else text.encode())
     with mirror([ROOT], str(tmp_path / "local"), 10**6) as found:
         yield found
     store.rm("/show", recursive=True)
@@ -56,7 +61,8 @@ def fetched(copies: Mirror) -> set[str]:
             {"heads/ada.usda", "body.usda", "parts/eye.usda", "parts/iris.png", "skin.1001.png", "skin.1012.png"},
         ),
         ("scan/a.obj", {"scan/a.obj", "scan/my skin.mtl", "scan/tex/a.png"}),
-        ("scan", {"scan/a.obj", "scan/my skin.mtl", "scan/tex/a.png"}),
+        ("scan/b.fbx", {"scan/b.fbx", "scan/tex/a.png"}),
+        ("scan", {"scan/b.fbx", "scan/a.obj", "scan/my skin.mtl", "scan/tex/a.png"}),
         ("none.usda", set()),
     ],
 )

@@ -228,11 +228,3 @@ def test_unlit_stays_unlit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     lit = {one["name"]: "KHR_materials_unlit" not in one.get("extensions", {}) for one in written["materials"]}
     assert sorted(lit.values())[0] is False
     assert sum(not value for value in lit.values()) == 1
-
-
-def test_variants_are_named(tmp_path: Path) -> None:
-    builder = build(make_model())
-    builder.root["extensionsUsed"] = ["KHR_materials_variants"]
-    builder.root["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "Light"}, {"name": "Dark"}]}}
-    (line,) = read(tmp_path, builder).warnings
-    assert "2 variants of its materials (Light, Dark) are left out" in line

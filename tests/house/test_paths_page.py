@@ -214,7 +214,7 @@ OPENED = {
         facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
         facepipe.scanning.photos.structure:_triangulated
         facepipe.scanning.photos.surface:_poisson facepipe.stage.face:Face.deriving
-        facepipe.stage.files:stage_at facepipe_blender.addon:build
+        facepipe.stage.files:at_variants facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
         facepipe_web.viewer:write_assets facepipe_web.viewer:_Handler._file

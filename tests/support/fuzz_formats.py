@@ -34,6 +34,7 @@ from bone_faces import save_sources
 from faces import clipped_face, tiny_face
 from full_faces import full_face, good_face
 from fuzz_farm import FARM
+from fuzz_fbx import damage_fbx, put_ascii, put_binary
 from fuzz_meshes import damaged_off, damaged_ply, damaged_stl
 from fuzz_remains import REMAINS
 from fuzz_stage import damaged_stage
@@ -573,7 +574,10 @@ def put_foreign_gltf() -> None:
         "KHR_materials_pbrSpecularGlossiness": glossy,
         "KHR_materials_unlit": {},
     }
-    builder.root["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "dark"}]}}
+    dark = builder.add("materials", {"name": "dark"})
+    builder.root["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "dark"}, {"name": "a/b"}]}}
+    shown = {"KHR_materials_variants": {"mappings": [{"material": dark, "variants": [0]}]}}
+    builder.root["meshes"][0]["primitives"][0]["extensions"] = shown
     builder.root["nodes"][11]["weights"] = [0.1, 0, 0.5]
     skin = builder.root["skins"][0]
     turned = np.tile(np.eye(4), (len(skin["joints"]), 1, 1)).reshape(-1, 16)
@@ -1128,6 +1132,15 @@ FORMATS: dict[str, Format] = {
             **{f"draco, {name}": put_draco(name) for name in draco_files.FILES},
         },
         damage_gltf,
+    ),
+    "fbx": Format(
+        {
+            "deflated": put_binary,
+            "plain": lambda: put_binary(deflate=False),
+            "ascii": put_ascii,
+            **{f"nodes {number}": put_binary for number in range(4)},
+        },
+        damage_fbx,
     ),
     "files of others": Format({"gltf": put_foreign_gltf, "usda": put_foreign_stage}, damage_foreign),
     "vrm": Format(

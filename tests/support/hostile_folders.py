@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import fbx_files
 import numpy as np
 from command_line import exit_code
 from PIL import Image
@@ -312,6 +313,19 @@ def obj(library: str, texture: str = "own.png") -> Callable[[World], object]:
         file("shapes/face.mtl", f"newmtl skin\nmap_Kd {texture}\n"),
         file("shapes/own.png", noise(2)),
     )
+
+
+def fbx(picture: str) -> Callable[[World], object]:
+    """face.fbx with a picture elsewhere."""
+
+    def make(world: World) -> None:
+        scene = fbx_files.Scene()
+        model = scene.model("Head", of="Mesh")
+        scene.mesh(model, np.eye(3), [[0, 1, 2]])
+        scene.texture(scene.material(model, "skin"), "DiffuseColor", picture.format(top=world.top))
+        (world.sent / "face.fbx").write_bytes(scene.binary())
+
+    return make
 
 
 def onnx(location: str, *, node: bool = False) -> Callable[[World], object]:

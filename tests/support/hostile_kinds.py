@@ -19,6 +19,7 @@ from hostile_folders import (
     archive,
     both,
     elsewhere,
+    fbx,
     file,
     fitted,
     gltf,
@@ -44,6 +45,7 @@ TEXTURES = (*EXPORT[:1], *FLAT, ("inspect", "face.usda"), *COPY)
 PACKED = tuple(tuple("face.usdz" if word == "face.usda" else word for word in line) for line in TEXTURES)
 GLTF = (("import", "gltf", "face.gltf", "copy.usda", "--force"), ("validate", "face.gltf"))
 OBJ = (("import", "obj", "shapes", "copy.usda", "--force"),)
+FBX = (("import", "fbx", "face.fbx", "copy.usda", "--force", "--strict"), ("export", "face.fbx", "-o", "copy.glb"))
 RIG = (("neural-rig", "apply", "face.usda", "rig.fpnr", "-o", "rigged.usda"),)
 NET = (("validate", "net.onnx"), ("eval", "net.onnx", "-o", "points.npz"))
 PROJECT = 'template = "a.usda"\ndatabase = "mix.usda"\nwork = "{}"\n[neutral]\nscan = "b.usda"\n'
@@ -252,6 +254,9 @@ _SINGLE = (
     Hostile("gltf, image: above", gltf(image="../private/photo.png"), GLTF[:1]),
     Hostile("gltf, image: file URL", gltf(image="file://{top}/private/photo.png"), GLTF[:1]),
     Hostile("gltf, image: link", both(gltf(image="a.png"), linked("a.png", "../private/photo.png")), GLTF[:1]),
+    Hostile("fbx, picture: above", fbx("..\\private\\photo.png"), FBX),
+    Hostile("fbx, picture: absolute", fbx("{top}/private/photo.png"), FBX),
+    Hostile("fbx, picture: link", both(fbx("a.png"), linked("a.png", "../private/photo.png")), FBX),
     Hostile("mtl, map: above", obj("face.mtl", "../../private/photo.png"), OBJ),
     Hostile("mtl, map: absolute", obj("face.mtl", "/etc/passwd"), OBJ),
     Hostile("mtl, map: link", both(obj("face.mtl", "a.png"), linked("shapes/a.png", "../../private/photo.png")), OBJ),

@@ -13,7 +13,7 @@ from gltf_builder import Builder
 from PIL import Image
 from their_gltf import Gltf
 
-from facepipe.parts import FaceParts, Mesh, TextureInput
+from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.rig.animation import at_times, sample_transforms, sample_weights
 from facepipe.stage import Face
 
@@ -21,6 +21,7 @@ Array = np.ndarray[Any, np.dtype[Any]]
 Json = dict[str, Any]
 Rng = np.random.Generator
 Differences = list[tuple[str, str]]
+VARIANTS = "KHR_materials_variants"
 NAMES = ("jawOpen", "mouthSmileLeft", "eyeBlinkLeft", "browInnerUp", "tongueOut")
 
 
@@ -328,6 +329,33 @@ def surfaces(rng: Rng, folder: Path) -> Path:
     return finish(b, folder, [0])
 
 
+def variants(rng: Rng, folder: Path) -> Path:
+    """Primitives of one material that variants change otherwise, mapped in any of the ways that the extension has."""
+    b = Builder()
+    own = mesh(b, rng, 1, parts=6)
+    for number in range(5):
+        color = {"baseColorFactor": [*rng.random(3).tolist(), 1.0], "metallicFactor": 0.0}
+        if number == 3:
+            color["baseColorTexture"] = {"index": texture(b, png(rng))} | place(b, rng, 1)
+        b.add("materials", {"name": f"material {number}", "pbrMetallicRoughness": color})
+    names = ["Light", "Dark", "a b/c", "夜", "2nd", "default"][: int(rng.integers(1, 7))]
+    for one in b.root["meshes"][own]["primitives"]:
+        if yes(rng, 0.9):
+            one["material"] = int(rng.integers(3))
+        free = [number for number in range(len(names)) if yes(rng, 0.7)]
+        mappings = [{"material": int(rng.integers(5)), "variants": [number]} for number in free]
+        if len(mappings) > 1 and yes(rng):
+            last = mappings.pop()
+            mappings[0]["variants"] += last["variants"]
+        if mappings and yes(rng, 0.8):
+            one["extensions"] = {VARIANTS: {"mappings": mappings}}
+    b.root["extensions"] = {VARIANTS: {"variants": [{"name": name} for name in names]}}
+    b.root["extensionsUsed"] = [VARIANTS, "KHR_texture_transform"]
+    for number in range(int(rng.integers(1, 3))):
+        b.add("nodes", {"name": f"Face {number}", "mesh": own})
+    return finish(b, folder, list(range(len(b.root["nodes"]))))
+
+
 def chain(b: Builder, rng: Rng, count: int, names: str = "neck head jaw eye tip", **more: Any) -> list[int]:
     """Nodes one below the other; new ones are the last of the document."""
     first = len(b.root.get("nodes", []))
@@ -528,6 +556,7 @@ KINDS: dict[str, Callable[[Rng, Path], Path]] = {
     "quantised": quantised,
     "encodings": encodings,
     "surfaces": surfaces,
+    "variants": variants,
     "rigid nodes": rigid,
     "pointers": pointers,
     "default weights": default_weights,
@@ -687,6 +716,7 @@ def _surfaces(gltf: Gltf, node: int, own: Mesh, parts: FaceParts) -> Differences
         material = by_name[of_face[here][0]]
         if (material.label or material.name) != given.get("name", material.label or material.name):
             found.append(("names", f"material {material.name}, expected {given['name']}"))
+        found += _variants(gltf, one, material, by_name)
         glossy = given.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
         found += _factors(given, glossy, material)
         for key, reference in [*given.items(), *given.get("pbrMetallicRoughness", {}).items(), *(glossy or {}).items()]:
@@ -717,6 +747,20 @@ def _surfaces(gltf: Gltf, node: int, own: Mesh, parts: FaceParts) -> Differences
             off = _apart(mine_uv, truth)
             if off > 2e-5 * max(1.0, float(np.abs(truth).max())):
                 found.append(("uvs", f"{key} of {material.name} on {own.name} off by {off:.3g}"))
+    return found
+
+
+def _variants(gltf: Gltf, primitive: Json, material: Material, by_name: dict[str, Material]) -> Differences:
+    """What variants show in place of a primitive's material, by the names that the file has."""
+    listed = gltf.root.get("extensions", {}).get(VARIANTS, {}).get("variants", [])
+    mappings = primitive.get("extensions", {}).get(VARIANTS, {}).get("mappings", [])
+    mapped = {number: one["material"] for one in mappings for number in one["variants"]}
+    found: Differences = []
+    for number, variant in enumerate(listed):
+        other = by_name[material.variants.get(variant["name"], material.name)]
+        expected = gltf.root["materials"][mapped.get(number, primitive["material"])].get("name")
+        if (other.label or other.name) != expected:
+            found.append(("variants", f"{material.name} is {other.name} in {variant['name']}, expected {expected}"))
     return found
 
 

@@ -58,7 +58,7 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_animation_pointer",
         "KHR_materials_emissive_strength",
         "KHR_materials_pbrSpecularGlossiness",
-        "KHR_materials_variants",  # named where materials are read; the file's own choice is one of them
+        "KHR_materials_variants",
         "EXT_texture_webp",
         "EXT_texture_avif",
     }
@@ -264,11 +264,6 @@ class Names:
         if key not in self._known:
             self._known[key] = self.new(name)
         return self._known[key]
-
-
-def joint_identifier(name: str) -> str:
-    """The part of a joint's path that stands for `name`."""
-    return names.identifier(name[:_LONGEST], "joint")
 
 
 @dataclass

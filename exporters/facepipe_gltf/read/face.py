@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.core.policy.bounds import check_counts
 from facepipe.declare import check_ranges
-from facepipe.geometry.vectors import transformed, unit_vectors
-from facepipe.parts import FaceParts, Mesh, Skin, identity
+from facepipe.parts import FaceParts, Mesh, Skin
+from facepipe.rig.binding import placed
 from facepipe.stage.recipes import Imported, import_recipe, with_units
 from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe_gltf.read import meshes, primitives
@@ -29,6 +28,7 @@ from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import Joints, Nodes, read_joints, read_nodes
+from facepipe_gltf.read.variants import Variants, read_variants
 
 if TYPE_CHECKING:
     from facepipe_gltf.read.vrm import Avatar
@@ -39,33 +39,6 @@ _READ = ("facepipe", "targetNames")  # keys of extras
 _NEAREST = (9728, 9984, 9986)  # texture filters
 _FILTERS = ("magFilter", "minFilter")
 _LISTED = 4
-
-
-def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
-    """A skinned `mesh` with its points moved by `matrix` (mesh space -> skeleton space at bind), so in metres.
-
-    A matrix that mirrors or flattens would turn faces inside out: it becomes the geomBind instead.
-    """
-    if mesh.skin is None or np.array_equal(matrix, identity()):
-        return mesh
-    determinant = float(np.linalg.det(matrix[:3, :3]))
-    if not 1e-30 < determinant < 1e30:
-        return replace(mesh, skin=replace(mesh.skin, geom_bind_transform=matrix))
-    # det(A)^(1/3) A^-T is the rotation of a scaled rotation: normal offsets are not normalised, and keep their length
-    turn: FloatArray = np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant)
-
-    def offset(values: FloatArray) -> FloatArray:
-        return (np.asarray(values, np.float64) @ matrix[:3, :3].T).astype(np.float32)
-
-    def normal(values: FloatArray) -> FloatArray:
-        return (np.asarray(values, np.float64) @ turn.T).astype(np.float32)
-
-    return replace(
-        mesh,
-        points=transformed(mesh.points, matrix).astype(np.float32),
-        normals=None if mesh.normals is None else unit_vectors(normal(mesh.normals)),
-        blendshapes=tuple(shape.changed(offset, normal) for shape in mesh.blendshapes),
-    )
 
 
 _COPIES = 4  # that what is made of a mesh takes at once, at least
@@ -89,7 +62,8 @@ class Assembly:
     document: Document
     nodes: Nodes
     joints: Joints
-    materials: list[str]
+    materials: list[str]  # by number; the last is for none
+    variants: Variants
     weld: bool
     recorded: bool = False  # a file of ours: what places its meshes is in the record
     shape_names: Names = field(default_factory=Names)
@@ -130,12 +104,14 @@ class Assembly:
         key = (mesh_index, skin)
         if key not in self._built:
             self._built[key] = None
-            geometry = primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
+            entry = document.entries("meshes")[mesh_index]
+            geometry = primitives.read_geometry(document, entry, skin >= 0, self.variants)
             if geometry is not None:
                 names, slots = self.shape_names, None if skin < 0 else self.joints.skins[skin].slots
                 mesh = meshes.build_mesh(document, geometry, names, self.weld, slots, self.materials, self.recorded)
                 used = np.unique(geometry.materials[geometry.materials >= 0]).tolist()
-                sides = [document.entries("materials")[i].get_or("doubleSided", False).flag() for i in used]
+                used += [other for number in used for other in self.variants.others(number)]
+                sides = [self.variants.value(i).get_or("doubleSided", False).flag() for i in dict.fromkeys(used)]
                 if len(set(sides)) > 1 and not self.recorded:
                     document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
                 count = len(geometry.vertices.targets)
@@ -154,7 +130,7 @@ class Assembly:
         if self.recorded:
             return named
         if skin >= 0:
-            return _placed(named, self.joints.skins[skin].geom_bind)
+            return placed(named, self.joints.skins[skin].geom_bind)
         # without a skin: carried by the joint that it hangs on, or placed once and for all
         held = self.joints.holding(self.nodes, node)
         if held is None:
@@ -163,7 +139,7 @@ class Assembly:
         count = len(mesh.points)
         document.budget.spend(64 * count, value.error)
         own = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
-        return _placed(replace(named, skin=own), self.joints.skeleton.bind_transforms[joint] @ to_joint)
+        return placed(replace(named, skin=own), self.joints.skeleton.bind_transforms[joint] @ to_joint)
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -233,7 +209,10 @@ class _Found(NamedTuple):
             meshes={node: number for number, node in enumerate(self.assembly.shown)},
             parts=self.parts,
             roles=self.assembly.roles,
-            materials=self.assembly.materials[:-1],
+            materials=[
+                [self.assembly.materials[number] for number in numbers]
+                for numbers in self.assembly.variants.by_material()
+            ],
             stubs=self.assembly.recorded,
         )
         return self.avatar.on(document, face, places)
@@ -254,8 +233,9 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     nodes = read_nodes(document, options.scene)
     avatar = _avatar(document, nodes)
     joints = read_joints(document, nodes, () if avatar is None or recorded else tuple(avatar.joints))
-    materials = material_names(document)  # the last stands for none
-    assembly = Assembly(document, nodes, joints, materials, options.weld, recorded)
+    variants = read_variants(document)
+    materials = material_names(document, variants)
+    assembly = Assembly(document, nodes, joints, materials, variants, options.weld, recorded)
     meshes = assembly.meshes()
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")
@@ -266,7 +246,10 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     if not recorded:
         meshes = _shapes_apart(document, nodes, joints, assembly, meshes)
     animations, rate = read_animations(document, nodes, joints, assembly.roles, options.fps)
-    bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
+    names = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
+    number_of = {name: number for number, name in enumerate(materials)}
+    bound = [number_of[name] for name in names if name is not None]
+    variants.note(bound, len(names), ours=recorded)
     parts = FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
@@ -275,7 +258,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         animations=animations,
         played=next((one.name for one in animations if one.times is not None), None),  # a pose has none
         frames_per_second=rate,
-        materials=read_materials(document, materials, bound),
+        materials=read_materials(document, materials, bound, variants),
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )

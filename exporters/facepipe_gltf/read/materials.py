@@ -11,16 +11,17 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import PurePosixPath
-from typing import Literal
+from typing import Any, Literal
 
 from facepipe.core.errors import InputError
 from facepipe.core.images import damage_of, decoding, open_image
-from facepipe.core.names import first_names, handles
+from facepipe.core.names import handles
 from facepipe.core.reading import is_file
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
 from facepipe.stage.uv_transforms import IDENTITY
 from facepipe_gltf.read.document import BASIS, Document, Names, Value, file_name, given_name, quote, uri_name
 from facepipe_gltf.read.meshes import uv_name
+from facepipe_gltf.read.variants import Variants
 from facepipe_gltf.record_format import image_digest
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
@@ -41,30 +42,28 @@ _IMPLEMENTED = {
 }
 
 
-def material_names(document: Document) -> list[str]:
-    """Distinct names of all materials of the document; the last is for primitives without a material."""
-    given = [given_name(value) or "" for value in document.entries("materials")]
+def material_names(document: Document, variants: Variants) -> list[str]:
+    """Distinct names of all materials by their numbers; the last is for primitives without a material."""
+    count = len(document.entries("materials")) + len(variants.twins)
+    given = [given_name(variants.value(number)) or "" for number in range(count)]
     return list(handles([*given, _DEFAULT], "Material"))
 
 
-def read_materials(document: Document, names: list[str], used: Iterable[str | None]) -> tuple[Material, ...]:
-    """The materials in `used`, in document order.
+def read_materials(
+    document: Document, names: list[str], used: Iterable[int], variants: Variants
+) -> tuple[Material, ...]:
+    """The materials in `used`, and those that variants show in their place, by number.
 
     :raises InputError: values or images that can't be read
     """
-    wanted = set(used)
-    textures = _Textures(document)
-    variants = document.root.extension("KHR_materials_variants")
-    if variants is not None:
-        called = [given_name(one) or "" for one in variants.get_or("variants", []).items()]
-        what = (
-            f"{len(called)} variants of its materials ({first_names(called, 4)}) are left out: it has those of the file"
-        )
-        document.warn(document.root, what)
-    values = document.entries("materials")
-    read = [_material(document, textures, values[i], name) for i, name in enumerate(names[:-1]) if name in wanted]
-    if names[-1] in wanted:  # glTF 2.0 section 3.9.6: white, metallic 1, rough 1
-        read.append(_material(document, textures, Value({}, document.root.trail), names[-1]))
+    numbers = {*used}
+    numbers |= {other for number in numbers for other in variants.others(number)}
+    textures, read = _Textures(document), []
+    for number in sorted(numbers):
+        last = number == len(names) - 1  # glTF 2.0 section 3.9.6: white, metallic 1, rough 1
+        value = Value({}, document.root.trail) if last else variants.value(number)
+        material = _material(document, textures, value, names[number])
+        read.append(replace(material, variants=variants.shown(number, names)))
     return tuple(read)
 
 
@@ -233,7 +232,7 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     if bumped is not None:
         scale = _factor(bumped, "scale")  # ``(2 texel - 1) * (scale, scale, 1)``
         normal = textures.input(bumped, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
-    clearcoat: dict[str, float | TextureInput] = {}
+    clearcoat: dict[str, Any] = {}
     coat = value.extension("KHR_materials_clearcoat") or empty
     if (factor := _factor(coat, "clearcoatFactor", 0.0)) != 0:  # its roughness doesn't count without
         coat_rough = _factor(coat, "clearcoatRoughnessFactor", 0.0)
@@ -344,5 +343,6 @@ def with_recorded_images(
             result.append(material.with_textures(lambda texture: replace(texture, data=images[texture.data])))
             continue
         document.warn("facepipe", f"the images of the material {material.name} were merged: it is read as glTF has it")
-        result.append(replace(by_name.get(material.name, Material(name=material.name)), name=material.name))
+        found = by_name.get(material.name, Material(name=material.name))
+        result.append(replace(found, name=material.name, variants=material.variants))
     return tuple(result)

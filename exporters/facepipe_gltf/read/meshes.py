@@ -312,7 +312,7 @@ def build_mesh(
         if (geometry.materials < 0).any():
             document.warn(geometry.value, "vertex colours without a material: kept as display colours, not metallic")
         for number in np.unique(geometry.materials[geometry.materials >= 0]).tolist():
-            surface = document.entries("materials")[number].get_or("pbrMetallicRoughness", {})
+            surface = geometry.variants.value(number).get_or("pbrMetallicRoughness", {})
             plain = surface.get_or("baseColorFactor", [1.0] * 4).numbers(4)[:3] == (1.0, 1.0, 1.0)
             if not plain or surface.get("baseColorTexture") is not None:
                 document.warn(geometry.value, "vertex colours tint a material: exports leave them out, USD shows none")

@@ -18,6 +18,7 @@ from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document, Value
 from facepipe_gltf.read.draco import unpacked
+from facepipe_gltf.read.variants import Variants
 
 _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
@@ -192,10 +193,11 @@ class Geometry:
     value: Value
     vertices: Vertices
     triangles: IntArray  # (t, 3) vertex indices
-    materials: IntArray  # (t,)
+    materials: IntArray  # (t,) by number, as of `variants`
+    variants: Variants
 
 
-def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry | None:
+def read_geometry(document: Document, value: Value, skinned: bool, variants: Variants) -> Geometry | None:
     """The triangles of a mesh; None where it has none. Points and lines are left out with a warning.
 
     :raises InputError: accessors that don't fit each other, indices out of range, target counts that differ
@@ -212,6 +214,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         if number < 4:
             document.warn(primitive, f"{_MODES[number]} are left out, only triangles are read")
             continue
+        shown = variants.number(primitive)
         primitive = unpacked(document, primitive)
         number = primitive.get_or("mode", 4).integer()
         # a key of the vertices that a primitive uses: its attributes and those of its targets
@@ -228,8 +231,6 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         first, count = pools[key]
         corners = _triangles(document, primitive, number, count)
         triangles.append(corners + first)
-        material = primitive.get("material")
-        shown = -1 if material is None else document.index("materials", material)
         materials.append(np.full(len(corners), shown, np.int64))
     if sum(map(len, triangles)) == 0:
         return None
@@ -240,6 +241,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         vertices=_join(document, value, read),
         triangles=np.concatenate(triangles),
         materials=np.concatenate(materials),
+        variants=variants,
     )
 
 

@@ -1,26 +1,25 @@
 """All skins of a document as one skeleton.
 
 Joints are the skins' joints, parent first; nodes between them that are no joints are folded into the rest transforms.
-A skin's ``world_i inverseBind_i`` (glTF 2.0 section 3.7.3) becomes ``world_i inverse(bind_i) geomBind`` (DESIGN
-section 7): where the nodes stand in bind pose that product is the same matrix for all joints, and this is geomBind.
+A skin's ``inverseBind_i`` are those of glTF 2.0 section 3.7.3.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Skeleton, identity
+from facepipe.rig.binding import Bindings, BoundSkin, unless_flat
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read import accessors
-from facepipe_gltf.read.document import Document, Names, Value, given_name, joint_identifier
+from facepipe_gltf.read.document import Document, Value, given_name
 
-_SAME = 1e-5
 _POINTER = re.compile(r"/(nodes|meshes)/(\d{1,9})/(translation|rotation|scale|weights)(?:/(\d{1,9}))?")
 
 
@@ -156,14 +155,6 @@ def _depth_first(roots: list[int], children: list[list[int]]) -> list[int]:
 
 
 @dataclass(frozen=True)
-class BoundSkin:
-    """A skin on the skeleton: the skeleton joint of each of its joints, and mesh space -> skeleton space at bind."""
-
-    slots: IntArray
-    geom_bind: FloatArray
-
-
-@dataclass(frozen=True)
 class Joints:
     """The skeleton, the joint of every node that is one, and what lies between a joint's node and its parent joint."""
 
@@ -215,45 +206,21 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
     order = _parent_first(nodes, [*skinned, *rigid, *more])
     of_node = {node: joint for joint, node in enumerate(order)}
     parents, above = _above(nodes, order, of_node)
-    binds: dict[int, FloatArray] = {}
-    twins: list[tuple[int, FloatArray]] = []
+    bindings = Bindings()
     skins = []
     for value, joint_nodes in zip(values, listed, strict=True):
         inverses = _inverse_binds(document, value, len(joint_nodes))
         slots = np.array([of_node[node] for node in joint_nodes], np.int64)
-        worlds = nodes.worlds[joint_nodes]
-        skins.append(_bind(document, value, slots, inverses, worlds, binds, twins))
-    binds |= {of_node[node]: _unless_flat(nodes.worlds[node]) for node in rigid}
+        skin, others = bindings.add(slots, inverses, nodes.worlds[joint_nodes])
+        if others:
+            document.warn(value, f"binds {others} joints otherwise than an earlier skin: joints are added for it")
+        skins.append(skin)
+    bindings.binds |= {of_node[node]: unless_flat(nodes.worlds[node]) for node in rigid}
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
-    for joint, parent in enumerate(parents):  # bound by no skin: as they rest below those that are
-        if joint not in binds:
-            at_rest = rest[joint] if parent < 0 else binds[parent] @ rest[joint]
-            binds[joint] = _unless_flat(at_rest)
-    siblings: dict[int, Names] = {}
-    paths: list[str] = []
     given = [given_name(nodes.values[node]) for node in order]
-    for node, parent, own in zip(order, parents, given, strict=True):
-        name = siblings.setdefault(parent, Names()).new(joint_identifier(own or ""))
-        path = name if parent < 0 else f"{paths[parent]}/{name}"
-        document.budget.spend(len(path), nodes.values[node].error)  # a chain's paths grow with the square of its length
-        paths.append(path)
-    # a joint for each that two skins bind differently: below it, still against it, and bound as the second skin says
-    for joint, _ in twins:
-        name = siblings.setdefault(joint, Names()).new(joint_identifier(f"{given[joint] or 'joint'}_bind"))
-        document.budget.spend(128 + len(paths[joint]), document.root.error)
-        paths.append(f"{paths[joint]}/{name}")
-        given.append(None)
-    every = [*(binds[joint] for joint in range(len(order))), *(bind for _, bind in twins)]
-    skeleton = Skeleton(
-        joints=tuple(paths),
-        bind_transforms=np.array(every).reshape(-1, 4, 4),
-        rest_transforms=np.concatenate([rest, np.tile(identity(), (len(twins), 1, 1))]),
-    )
-    above = np.concatenate([above, np.tile(identity(), (len(twins), 1, 1))])
-    # the nodes' own names; of those without the last parts of the paths
-    leaves = zip(given, skeleton.names, strict=True)
-    skeleton = skeleton.called([leaf if own is None else own for own, leaf in leaves])
-    numbered = [replace(one, slots=np.where(one.slots < 0, len(order) - 1 - one.slots, one.slots)) for one in skins]
+    skeleton = bindings.skeleton(given, parents, rest, lambda size: document.budget.spend(size, document.root.error))
+    above = np.concatenate([above, np.tile(identity(), (len(bindings.twins), 1, 1))])
+    numbered = [bindings.numbered(one, len(order)) for one in skins]
     return Joints(skeleton, of_node, above, tuple(numbered))
 
 
@@ -313,59 +280,3 @@ def _inverse_binds(document: Document, value: Value, count: int) -> FloatArray:
     if not regular.all():
         raise reference.error(f"matrix {int(np.argmin(regular))} is singular, expected an invertible inverse bind")
     return matrices
-
-
-def _bind(
-    document: Document,
-    value: Value,
-    slots: IntArray,
-    inverses: FloatArray,
-    worlds: FloatArray,
-    binds: dict[int, FloatArray],
-    twins: list[tuple[int, FloatArray]],
-) -> BoundSkin:
-    """The skin on the skeleton; joints not bound so far join `binds`, those bound otherwise get a twin in `twins`.
-
-    The skeleton's joints are as many as `worlds` and `binds` know in the end, `twins` come after them.
-    """
-    bound = np.array([slot in binds for slot in slots.tolist()])
-    slots = slots.copy()
-    if bound.any():
-        # inverse_j = B_j^-1 G: where an earlier skin gave B_j, B_j inverse_j is the G of this one, the same for all j
-        factors = np.array([binds[slot] for slot in slots[bound].tolist()]) @ inverses[bound]
-        geom_bind = _snapped(factors[0])
-        apart = np.abs(factors - geom_bind).max(axis=(1, 2)) / max(float(np.abs(geom_bind[:3]).max()), 1e-30)
-        other = np.flatnonzero(bound)[apart > _SAME]
-        if len(other):
-            document.warn(value, f"binds {len(other)} joints otherwise than an earlier skin: joints are added for it")
-    else:
-        # in a file at rest in bind pose world_j inverse_j is G; at another pose they differ, and G is taken as identity
-        factors = worlds @ inverses
-        geom_bind = _snapped(factors[0]) if _difference(factors, factors[0]) <= 10 * _SAME else identity()
-        if abs(np.linalg.det(geom_bind[:3, :3])) < 1e-30:
-            geom_bind = identity()
-        other = np.zeros(0, np.int64)
-    for place, inverse in enumerate(inverses):
-        joint = int(slots[place])
-        if place in other:
-            slots[place] = -1 - len(twins)  # numbered from behind until the number of joints is known
-            twins.append((joint, geom_bind @ np.linalg.inv(inverse)))
-        elif joint not in binds:
-            binds[joint] = geom_bind @ np.linalg.inv(inverse)
-    return BoundSkin(slots, geom_bind)
-
-
-def _difference(matrices: FloatArray, reference: FloatArray) -> float:
-    """Largest difference of (k, 4, 4) from (4, 4), relative to the size of both."""
-    size = max(float(np.abs(reference[:3]).max()), 1e-30)
-    return float(np.abs(matrices - reference).max()) / size
-
-
-def _snapped(matrix: FloatArray) -> FloatArray:
-    """`matrix`, or the identity where it is that but for float32 noise."""
-    return identity() if np.abs(matrix - identity()).max() <= 1e-5 else matrix
-
-
-def _unless_flat(matrix: FloatArray) -> FloatArray:
-    """`matrix`, or the identity where that has no inverse, as of what grows from nothing: either binds meshes."""
-    return matrix if abs(np.linalg.det(matrix)) > 1e-30 else identity()

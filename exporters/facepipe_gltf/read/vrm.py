@@ -60,7 +60,7 @@ class _Names:
     joints: Mapping[int, str]  # by node
     meshes: Mapping[int, Mesh]  # by node, as the face has them
     targets: Mapping[int, Sequence[str]]  # by node
-    material_names: Sequence[str]
+    materials_of: Sequence[Sequence[str]]  # by material of the document
     problems: list[str] = field(default_factory=list)
     count: int = 0
 
@@ -81,9 +81,9 @@ class _Names:
         return names[value.integer()]
 
     def materials(self, value: Value) -> list[str]:
-        if value.integer() >= len(self.material_names):
-            raise value.error(f"{value.integer()}, but there are {len(self.material_names)} materials")
-        return [self.material_names[value.integer()]]
+        if value.integer() >= len(self.materials_of):
+            raise value.error(f"{value.integer()}, but there are {len(self.materials_of)} materials")
+        return list(self.materials_of[value.integer()])
 
     def image(self, value: Value) -> str:
         entry = self.document.entry("images", value)
@@ -123,7 +123,7 @@ class Avatar:
             joints={node: face.skeleton.joints[joint] for node, joint in read.joints.items()},
             meshes={node: face.meshes[number] for node, number in read.meshes.items()},
             targets={node: read.targets(face.meshes[number], node) for node, number in read.meshes.items()},
-            material_names=read.materials,
+            materials_of=read.materials,
         )
         vrm: Json = {}
         for name, value in self.extensions.items():
@@ -161,7 +161,7 @@ class Places:
     meshes: dict[int, int]  # node -> number of the mesh
     parts: FaceParts  # as read of the document: shapes of another face are those of the same place
     roles: Mapping[int, Sequence[Role]]  # by node
-    materials: Sequence[str]
+    materials: Sequence[Sequence[str]]  # what each material is called: several, where variants change it otherwise
     stubs: bool  # facepipe wrote it: human bones that are no joints are those that it added
 
     def targets(self, mesh: Mesh, node: int) -> list[str]:

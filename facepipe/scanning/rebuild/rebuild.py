@@ -13,7 +13,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.declare import values_of
 from facepipe.geometry.similarity import Similarity
-from facepipe.importers import load, obj
+from facepipe.importers import kind_of, load, obj
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.scanning.database import FaceDatabase, Quality, load_database, quality_from
@@ -387,8 +387,8 @@ class Rebuild:
         self._corrected.append(name)
         if path.suffix == ".obj":  # in millimetres, Y up, as the meshes of the work folder are
             parts = load("obj", path, obj.Options(meters_per_unit=0.001, up_axis="Y")).parts
-        elif path.suffix in (".glb", ".gltf"):
-            parts = load("gltf", path).parts
+        elif path.suffix in (".glb", ".gltf", ".fbx"):
+            parts = load(kind_of(path), path).parts
         else:
             parts = open_face(path).parts()
         return whole_face(parts, str(path), self._template.topology, self._template.where).points

@@ -29,7 +29,7 @@ from facepipe.verbs.array_file import read_arrays, write_arrays
 _MORE = ("together",)  # of a report of all scans together
 CORRECTIONS = "corrections"
 KIND = "facepipe rebuild stage 1"
-_SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf")
+_SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf", ".fbx")
 
 
 Arrays = Mapping[str, AnyArray]

@@ -34,7 +34,7 @@ class Animate(AnimateOptions, StageAction["AnimateReport"]):
     """The action."""
 
     face: Path = source("face stage")
-    clip: Path = source("performance: .csv .tsv .txt .json .jsonl .usd .usda .usdc .usdz .glb .gltf .vrm")
+    clip: Path = source("performance: .csv .tsv .txt .json .jsonl .usd .usda .usdc .usdz .glb .gltf .vrm .fbx")
     name: str | None = option(None, "name of the animation (default: the file's)")
 
     def check(self) -> None:

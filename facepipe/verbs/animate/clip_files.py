@@ -35,7 +35,7 @@ from facepipe.verbs.animate.performance import (
 
 TABLES = (".csv", ".tsv", ".txt")
 DOCUMENTS = (".json", ".jsonl", ".ndjson")
-STAGES = (".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".vrm")
+STAGES = (".usd", ".usda", ".usdc", ".usdz", ".glb", ".gltf", ".vrm", ".fbx")
 MOST_BYTES = 1 << 29
 _COUNT = "blendshapecount"
 _TIME = re.compile(

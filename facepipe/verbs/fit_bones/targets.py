@@ -21,7 +21,7 @@ from facepipe.verbs.cached_points import cached_points
 from facepipe.verbs.whole_faces import match_meshes, world_to_world
 
 ALL_SHAPES = "shapes"
-LOADED = (".obj", ".glb", ".gltf")
+LOADED = (".obj", ".glb", ".gltf", ".fbx")
 _LARGEST_WEIGHT = 1e6
 _LARGEST = 1e12  # stage units: squares add up
 
@@ -145,7 +145,7 @@ def _read_file(parts: FaceParts, file: str, name: str, load: Loader | None) -> T
     if path.suffix.lower() in LOADED:
         if load is None:
             raise InputError(path, f"suffix '{path.suffix}' needs an importer, expected a USD stage")
-        return _neutral(parts, called, load(path), str(path), name, triangles=path.suffix.lower() != ".obj")
+        return _neutral(parts, called, load(path), str(path), name, triangles=path.suffix.lower() in (".glb", ".gltf"))
     cache = read_point_cache(path)
     if name:
         return _animation(parts, called, path, name, cache.has_face)
