@@ -1199,16 +1199,20 @@ def transfer(
     landmarks: str | os.PathLike[str] | None = None,
     shapes: Sequence[str] = (),
     only: Sequence[Literal["shapes", "regions", "landmarks", "sliders"]] = (),
+    joints: bool = False,
+    cut_mouth: bool = False,
     replace: bool = False,
     picture: str | os.PathLike[str] | None = None,
 ) -> TransferReport:
     """Give a head of others the shapes of a template: `facepipe transfer`.
 
-    :param head: head or body: .glb .gltf .vrm .obj .ply .stl .off or USD
+    :param head: head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD
     :param template: face stage with multipie68 landmarks (default the built-in head)
     :param landmarks: landmarks of the head (default HEAD's .landmarks.json)
     :param shapes: shapes of the template to bring (default ARKit's 52; all: every one)
     :param only: bring these alone
+    :param joints: bring joints with weights too, to a head that has none
+    :param cut_mouth: open a mouth that triangles seal, along edges between the lips
     :param replace: make shapes, regions, landmarks and sliders that the head has anew
     :param picture: draw all shapes from the front and from between front and side
     :param out: stage to write, or a file that an exporter writes

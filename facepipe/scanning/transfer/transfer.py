@@ -40,6 +40,7 @@ from facepipe.scanning.transfer.pieces import (
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
+from facepipe.verbs.skin.skin_face import SkinFace
 from facepipe.verbs.whole_faces import Topology, to_millimetres, whole_face
 
 _Key = TypeVar("_Key")
@@ -58,6 +59,7 @@ class TransferReport(Report):
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
+    joints: int = 0
     authored: tuple[str, ...] = ()
     shown: Any = not_in_json()  # (n,) whole points that are no hair, clothes or helpers
     place: Any = not_in_json()  # `Similarity` from whole points to the template's place
@@ -72,6 +74,7 @@ class TransferReport(Report):
             ("shapes", f"{len(made)} made" + (f", {len(self.kept)} the head's own" if self.kept else "")),
             *([("regions", ", ".join(self.regions))] if self.regions else []),
             *([("sliders", f"{len(self.sliders)}")] if self.sliders else []),
+            *([("joints", f"{self.joints}")] if self.joints else []),
         ]
         said = {name: str(one["verdict"]) for name, one in self.shapes.items() if one["verdict"] != MADE}
         by_verdict = {verdict: [name for name in said if said[name] == verdict] for verdict in said.values()}
@@ -107,6 +110,7 @@ def transfer(
     landmarks: Path | None = None,
     shapes: Sequence[str] = (),
     only: Sequence[str] = (),
+    joints: bool = False,
     anew: bool = False,
 ) -> TransferReport:
     """Author on `face`, a layer over a head of others, what a template brings.
@@ -116,10 +120,14 @@ def transfer(
     :param landmarks: their file; None: the head's own, or found on it
     :param shapes: as for `wanted_shapes`
     :param only: some of `KINDS`; none: all
+    :param joints: bring the template's joints, with weights, to a head that has none
     :param anew: shapes, regions, landmarks and sliders that the head has are made too
     :raises FacepipeError: no landmarks, a head that the template can't be fitted to, or nothing to bring
     """
     parts = face.parts()
+    if joints and parts.skeleton.joints:
+        what = f"the head has {len(parts.skeleton.joints)} joints of its own, expected none"
+        raise InputError(f"{face.where} -> --joints", what)
     body, database = _template(template)
     names, kept = wanted_shapes(body.parts, parts, shapes, anew=anew)
     head = Head.of(parts, face.where, landmarks)
@@ -144,6 +152,9 @@ def transfer(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
     )
     authored = AuthorNeutral(shapes=deltas, settled=settled)(face, head.points, recipe=recipe)
+    if joints:
+        fitted = AuthorNeutral().changed(body.parts, fit.place.undo(fit.points))
+        SkinFace(source=Face.from_parts(fitted))(face, recipe=recipe)
     after = face.parts()
     return TransferReport(
         landmarks=head.source,
@@ -153,6 +164,7 @@ def transfer(
         not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
         kept=kept,
         regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
+        joints=len(after.skeleton.joints) if joints else 0,
         sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
         authored=authored.authored,
         shown=head.whole(face_points),

@@ -1,14 +1,15 @@
 """Give a head of others the shapes of a template, on its own mesh: ARKit's 52, visemes, regions, landmarks, sliders.
 
-HEAD is a head or a body of any tool (.glb .gltf .vrm .obj .ply .stl .off or USD), of any pose and unit. All that it has
+HEAD is a head or a body of any tool (.glb .gltf .vrm .fbx .obj .ply .stl .off or USD), of any pose and unit. All that it has
 stays as it is: points, texture coordinates, materials, joints, skin, clips, shapes. A shape that it has by any usual
 name is not made again, unless --replace is given. Without --from the shapes are those of the built-in head.
 
 Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
 else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
 
-OUT is an override layer over HEAD where that is a stage; --flatten, and any other HEAD, give a standalone one. What
-can't be made is named, shape by shape. Exit code 1: done, but some shape that was asked for could not be made.
+OUT is an override layer over HEAD where that is a stage; --flatten, --cut-mouth and any other HEAD give a standalone
+one. What can't be made is named, shape by shape: blinks of painted eyes, a tongue that is not there. Exit code 1: done,
+but some shape that was asked for could not be made.
 
 examples:
   facepipe transfer head.glb -o head_arkit.glb --picture shapes.png
@@ -39,7 +40,7 @@ _STEPS = 90  # of the fit, and one a shape
 class TransferAction(StageAction["TransferReport"]):
     """The action."""
 
-    head: Path = source("head or body: .glb .gltf .vrm .obj .ply .stl .off or USD")
+    head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     template: Path | None = source(
         "face stage with multipie68 landmarks (default the built-in head)", default=None, flag="--from", metavar="FACE"
     )
@@ -52,6 +53,8 @@ class TransferAction(StageAction["TransferReport"]):
     only: tuple[str, ...] = option(
         (), "bring these alone", choices=("shapes", "regions", "landmarks", "sliders"), parse=tuple, words=True
     )
+    joints: bool = option(False, "bring joints with weights too, to a head that has none")
+    cut_mouth: bool = option(False, "open a mouth that triangles seal, along edges between the lips")
     replace: bool = option(False, "make shapes, regions, landmarks and sliders that the head has anew")
     picture: Path | None = beside("draw all shapes from the front and from between front and side", ".png", "draw")
 
@@ -64,9 +67,13 @@ class TransferAction(StageAction["TransferReport"]):
             raise InputError("--shapes", "given with --only without shapes, expected one or the other")
 
     def made_base(self) -> FaceParts | None:
-        from facepipe.scanning.transfer.head import unitless
+        from facepipe.scanning.transfer.head import Head, read_head, unitless
 
-        return unitless(Path(self.head))
+        if not self.cut_mouth:
+            return unitless(Path(self.head))
+        from facepipe.scanning.transfer.cut import cut_mouth
+
+        return cut_mouth(Head.of(read_head(Path(self.head)), str(self.head), self.landmarks))
 
     def author(self, face: Face, job: Job) -> TransferReport:
         from facepipe.scanning.transfer.transfer import transfer
@@ -80,6 +87,7 @@ class TransferAction(StageAction["TransferReport"]):
                 landmarks=self.landmarks,
                 shapes=self.shapes,
                 only=self.only,
+                joints=self.joints,
                 anew=self.replace,
             )
 
