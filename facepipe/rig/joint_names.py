@@ -1,4 +1,4 @@
-"""Which joint is the head, an eye, or the hips, by the names that programs give them."""
+"""Which joint is the head, an eye, the jaw or the hips, by the names that programs give them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ _NAMES = {  # as `shape_key` has them
     "LeftEye": ("eyeleft", "eyeballleft", "eyejntleft", "eyejointleft", "左目"),
     "RightEye": ("eyeright", "eyeballright", "eyejntright", "eyejointright", "右目"),
     "Hips": ("hips", "hip", "pelvis", "下半身"),
+    "Jaw": ("jaw", "jawroot", "jawmaster", "lowerjaw", "あご", "顎"),
 }
 _PREFIX = re.compile(r"^(mixamorig\d*|j_bip_c|bip\d*|def|org|cc_base|c|facial|face)[:_\- ]+", re.IGNORECASE)
 
@@ -29,7 +30,7 @@ def human_joint(parts: FaceParts, part: str) -> int | None:
 def joint_called(skeleton: Skeleton, part: str) -> int | None:
     """The joint of a part with a usual name, that nearest to the root; None where there is none.
 
-    :param part: Head, LeftEye, RightEye or Hips
+    :param part: Head, LeftEye, RightEye, Hips or Jaw
     """
     names = [{joint.rpartition("/")[2], own} for joint, own in zip(skeleton.joints, skeleton.names, strict=True)]
     found = [i for i, one in enumerate(names) if {shape_key(_PREFIX.sub("", name)) for name in one} & {*_NAMES[part]}]

@@ -154,8 +154,8 @@ def transfer(
     authored = AuthorNeutral(shapes=deltas, settled=settled)(face, head.points, recipe=recipe)
     if joints:
         fitted = AuthorNeutral().changed(body.parts, fit.place.undo(fit.points))
-        SkinFace(source=Face.from_parts(fitted))(face, recipe=recipe)
-    after = face.parts()
+        SkinFace(source=Face.from_parts(fitted))(Face(face.stage, face.prim), recipe=recipe)
+    after = Face(face.stage, face.prim).parts()
     return TransferReport(
         landmarks=head.source,
         fit_mean_mm=fit.report.quality.surface_mean_mm,
