@@ -109,7 +109,9 @@ def solids(bite: float = 0.0) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
     """Pieces beside the skin by name; `bite`: mm that both rows of teeth lie higher than the slit's middle."""
     made: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
 
-    def put(name: str, mesh: trimesh.Trimesh | tuple[np.ndarray, np.ndarray], at: tuple[float, ...] = (0, 0, 0)) -> None:
+    def put(
+        name: str, mesh: trimesh.Trimesh | tuple[np.ndarray, np.ndarray], at: tuple[float, ...] = (0, 0, 0)
+    ) -> None:
         points, triangles = mesh if isinstance(mesh, tuple) else (mesh.vertices, mesh.faces)
         made.setdefault(name, []).append((np.asarray(points, float) + at, np.asarray(triangles, np.int64)))
 
@@ -142,6 +144,4 @@ def head(*, names: tuple[str, ...] = (), bite: float = 0.0, holes: bool = True) 
             triangles.append(faces + count)
             part.append(np.full(len(own), number))
             count += len(own)
-    return PlainHead(
-        np.concatenate(points), np.concatenate(triangles), landmarks(), np.concatenate(part), tuple(kept)
-    )
+    return PlainHead(np.concatenate(points), np.concatenate(triangles), landmarks(), np.concatenate(part), tuple(kept))

@@ -37,13 +37,16 @@ _RISE = (0.0, 0.35)  # of the way, that the lower lid meets the upper one
 _USUAL_RISE = 0.12
 _AT_MARGIN = 0.045  # radians from the hole: of a coarse lid whose layers cross, no point lies on its outline
 _CANTHUS = 0.3  # radians from a corner, where margins start to meet halfway: shear there would turn triangles over
-_CORNER = 0.1  # radians beyond a corner, over which lids pass into what was carried
+_CORNER = 0.1  # radians beyond a corner, over which the motion of margins fades
 _RIM_MM = 1.2  # along the skin from the margin: a lid's rim
 _STEP_MM = 0.5  # from one closed lid to the other, from before
 _OVER_MM = 0.03  # that the upper margin goes below the lower
 _SETTLED_MM, _ROUNDS = 0.02, 4  # of gaps that edges leave between points
 _MOST_MORE_MM = 0.5  # that the upper margin goes lower for them
-_MOST_UNFOLDED = 24  # rounds
+_NARROW = 0.35  # of the opening: corners, where margins may give way so that nothing turns over
+_OUTLINE = 0.012  # radians from the hole, up to which points are its outline
+_SETTLES = 4
+_MOST_UNFOLDED = 32  # rounds
 _TOUCH_MM = 0.05  # of skin in the eyeball, that counts as on it
 _SLIDES_MM = 0.2  # shapes that move lids less leave them where they are
 
@@ -291,7 +294,6 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
     follow = 1.0 - smoothstep((eye.distance - low) / (high - low))
     beyond = np.maximum(eye.columns[0] - before[:, 0], before[:, 0] - eye.columns[-1])
     fade = 1.0 - smoothstep(beyond / _CORNER)
-    follow *= fade
     # margins meet on a line that is the lower one, raised a little
     rise = _rise(points, eye, carried)
     opening = eye.upper - eye.lower
@@ -304,14 +306,14 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
     ends = np.clip(inward / _CORNER, 0.0, 1.0)
     excess = _smooth(0.5 * (step - np.clip(step, -_STEP_MM, _STEP_MM)) * ends, 15)
     ways = np.stack([meeting - ends * _OVER_MM / mm - eye.upper, meeting - eye.lower])
-    lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess)
-    way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways))
+    lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess) * fade
+    way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways)) * fade
     other = start + carried[near]
     floor = _floor(before[:, 2])
     more = np.zeros_like(eye.columns)
     for _ in range(_ROUNDS):
         goal = before.copy()
-        goal[:, 1] += way - np.where(upper, np.interp(before[:, 0], eye.columns, more), 0.0)
+        goal[:, 1] += way - np.where(upper, np.interp(before[:, 0], eye.columns, more), 0.0) * fade
         # no margin passes the line by more than it must, as points off the hole's outline would
         line, deeper = (np.interp(before[:, 0], eye.columns, row) for row in (meeting, ends * _OVER_MM / mm + more))
         least, most = line - deeper, np.maximum(line, before[:, 1])
@@ -326,7 +328,8 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
             break
         more = np.minimum(more + ends * _pooled(gaps, eye, start, triangles) / mm, _MOST_MORE_MM / mm)
     seen = _seen(points, triangles, eye)
-    ended = _clear(points, _unfolded(points, ended, triangles, seen, eye), seen, eye)
+    for _ in range(_SETTLES):  # each may undo a little of the other
+        ended = _clear(points, _unfolded(points, ended, triangles, seen, eye), seen, eye)
     delta = ended - points
     after = eye.polar(ended[near])
     inbetweens = {}
@@ -423,18 +426,23 @@ def _pooled(gaps: FloatArray, eye: Aperture, start: FloatArray, triangles: IntAr
 def _unfolded(points: FloatArray, ended: FloatArray, triangles: IntArray, seen: IntArray, eye: Aperture) -> FloatArray:
     """`ended` with the motion of points of triangles that turn over made that of those around, margins kept."""
     margin = np.zeros(len(points), bool)
-    margin[eye.near[eye.distance <= 0]] = True
+    polar = eye.polar(points[eye.near])
+    upper, lower = (np.interp(polar[:, 0], eye.columns, row) for row in (eye.upper, eye.lower))
+    outline = np.abs(polar[:, 1] - np.where(eye.side > 0, upper, lower)) < _OUTLINE
+    wide = (upper - lower > _NARROW * (eye.upper - eye.lower).max()) & (polar[:, 0] > eye.columns[0])
+    margin[eye.near[(eye.distance <= 0) & outline & wide & (polar[:, 0] < eye.columns[-1])]] = True
     pairs = distinct_edges(np.concatenate([triangles[:, :2], triangles[:, 1:], triangles[:, [2, 0]]]))[0]
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     best = delta = ended - points
     fewest = len(seen)
-    for _ in range(_MOST_UNFOLDED):
+    for turn in range(_MOST_UNFOLDED):
         flips = flipped_triangles(points, points + delta, seen)
         if flips.sum() < fewest:
             best, fewest = delta, int(flips.sum())
         marked = np.zeros(len(points), bool)
         marked[seen[flips]] = True
-        marked[pairs[marked[pairs[:, 0]], 1]] = True
+        for _ in range(1 + turn // 8):  # farther around where that does not help
+            marked[pairs[marked[pairs[:, 0]], 1]] = True
         marked &= ~margin
         if not marked.any() or not fewest:
             break
