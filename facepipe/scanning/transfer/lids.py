@@ -38,6 +38,8 @@ _USUAL_RISE = 0.12
 _AT_MARGIN = 0.045  # radians from the hole: of a coarse lid whose layers cross, no point lies on its outline
 _CANTHUS = 0.3  # radians from a corner, where margins start to meet halfway: shear there would turn triangles over
 _CORNER = 0.1  # radians beyond a corner, over which the motion of margins fades
+_BENT = 5  # columns
+_END = 0.03  # radians from a corner, where margins meet anyway
 _RIM_MM = 1.2  # along the skin from the margin: a lid's rim
 _STEP_MM = 0.5  # from one closed lid to the other, from before
 _OVER_MM = 0.03  # that the upper margin goes below the lower
@@ -260,7 +262,9 @@ def _lids(
     seeds = np.flatnonzero(there)
     seeds = seeds[rim[cells[seeds, 1], cells[seeds, 0]]]
     columns, upper, lower = margins
-    between = np.interp(found.places[seeds, 0], columns, (upper + lower) / 2)
+    # by the middle line of where the aperture is wide: at its very ends, edges of the hole decide which is which
+    line = np.polynomial.Polynomial.fit(columns, (upper + lower) / 2, 2, w=upper - lower + 1e-6)
+    between = line(np.clip(found.places[seeds, 0], columns[0], columns[-1]))
     above = found.places[seeds, 1] > between
     middle = points[seeds].mean(axis=0) if len(seeds) else points.mean(axis=0)
     around = np.linalg.norm(points - middle, axis=1) < _NEAR
@@ -295,17 +299,20 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
     beyond = np.maximum(eye.columns[0] - before[:, 0], before[:, 0] - eye.columns[-1])
     fade = 1.0 - smoothstep(beyond / _CORNER)
     # margins meet on a line that is the lower one, raised a little
-    rise = _rise(points, eye, carried)
+    least_rise = _rise(points, eye, carried)
     opening = eye.upper - eye.lower
     inward = np.minimum(eye.columns - eye.columns[0], eye.columns[-1] - eye.columns)
-    rise = rise + (0.5 - rise) * (1.0 - smoothstep(inward / _CANTHUS))
+    rise = least_rise + (0.5 - least_rise) * (1.0 - smoothstep(inward / _CANTHUS))
     meeting = _smooth(eye.lower + rise * opening, 3)
     upper, mm = eye.side > 0, eye.globe.radius
     # of rims that would meet one before the other, both give way
     step = _rim(eye, before, 1) - _rim(eye, before, -1)
-    ends = np.clip(inward / _CORNER, 0.0, 1.0)
+    ends = np.clip(inward / _END, 0.0, 1.0)
     excess = _smooth(0.5 * (step - np.clip(step, -_STEP_MM, _STEP_MM)) * ends, 15)
     ways = np.stack([meeting - ends * _OVER_MM / mm - eye.upper, meeting - eye.lower])
+    # an upright edge at a corner bends over the hole's last columns: its ends move as those before it do
+    inner = np.clip(np.arange(len(eye.columns)), min(_BENT, len(eye.columns) // 2), max(len(eye.columns) - 1 - _BENT, 0))
+    ways = ways[:, inner]
     lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess) * fade
     way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways)) * fade
     other = start + carried[near]

@@ -17,13 +17,15 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.balls import Ball, RadialSurface, fit_ball
 from facepipe.geometry.closest_points import closest_places
+from facepipe.geometry.geodesics import graph_distances, surface_graph
 from facepipe.geometry.polygons import components, distinct_edges, point_areas
 from facepipe.scanning.transfer.lids import EYES, Globe, eye_frame
 
-SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, STILL, HELPER = KINDS = (
+KINDS = (
     "skin", "left eyeball", "right eyeball", "upper teeth", "lower teeth", "tongue", "inner mouth", "lashes", "brows",
     "tear line", "growth", "still", "helper",
 )  # fmt: skip
+SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, STILL, HELPER = KINDS
 _BALLS = {"Left": EYE_LEFT, "Right": EYE_RIGHT}
 _WORDS = {  # parts of names, in the order in which they count: an eyelash is no eye, and helpers may be teeth
     LASHES: ("lash", "wimper", "まつげ", "睫"),
@@ -44,7 +46,9 @@ _LAYER = 1.3  # radii: layers of an eye lie within
 _LONG = 1.6  # times as wide as high: no cornea, but a shell between the lids
 _MOUTH_BOX = np.array([[-46.0, -40.0, -90.0], [46.0, 30.0, 4.0]])  # mm from the mouth's middle
 _TOOTH, _GAP, _BITE = 17.0, 2.5, 14.0  # mm: largest single tooth; between rows; how far the bite is from the template's
-_TALL, _SLACK = 24.0, 4.0  # mm: gums of both rows in one, or the mouth's sheet; how far teeth come out of them
+_NEAR_BITE = 3.0  # mm: of rows in one piece, whose points leave gaps at crowns and roots too
+_SURE = 4.0  # mm from the bite, from which on points of such a piece surely are of their row
+_TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth's sheet; how far teeth come out of them
 _BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
 _LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
 _SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
@@ -179,9 +183,7 @@ def named_kind(name: str) -> tuple[int, bool]:
     if words[:1] == ["joint"]:  # cubes that mark joints
         return KINDS.index(HELPER), True
     for kind, parts in _WORDS.items():
-        if kind == HELPER and "eye" in joined:
-            break
-        if any(map(has, parts)):
+        if any(map(has, parts)) and not (kind == HELPER and "eye" in joined):
             if kind != TEETH_UPPER:
                 return KINDS.index(kind), True
             rows = [row for row, own in _ROWS.items() if any(map(has, own))]
@@ -271,7 +273,7 @@ def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: In
     for i, rows in enumerate(teeth):  # what holds others is gums, or the sheet of the mouth
         holds = (boxes[:, 0] > boxes[i, 0] - _SLACK).all(axis=1) & (boxes[:, 1] < boxes[i, 1] + _SLACK).all(axis=1)
         tall = boxes[i, 1, 1] - boxes[i, 0, 1] > _TALL
-        if said[rows[0]] < 0 and tall and holds.sum() > 2:
+        if said[rows[0]] < 0 and ((tall and holds.sum() > 2) or boxes[i, 1, 1] - boxes[i, 0, 1] > _BAG):
             sheets.append(rows)
     teeth = [rows for rows in teeth if not any(rows is sheet for sheet in sheets)]
     for rows in tongues:
@@ -314,7 +316,9 @@ def _rows(
     if whole.sum() > 1 and np.ptp(means[whole]) > 2.0 * _GAP:
         between = float((means[whole].min() + means[whole].max()) / 2)
     elif whole.sum() == 1 and whole.all():
-        threshold = between = _largest_gap(height[teeth[0]])
+        # both rows in one: at the template's bite, or halfway, unless they part near there
+        about = 0.0 if inside is not None else float(height[teeth[0]].min() + height[teeth[0]].max()) / 2.0
+        threshold = between = about + _largest_gap(height[teeth[0]] - about, _NEAR_BITE)
     weighted = jaw is not None and max(jaw[rows].mean() for rows in teeth) > 0.5
     for i, rows in enumerate(teeth):
         row_named = said[rows[0]] == lower or any(said[other[0]] == lower for other in teeth)
@@ -324,18 +328,33 @@ def _rows(
         elif row_named and said[rows[0]] >= 0:
             goes = np.full(len(rows), said[rows[0]] == lower)
         elif whole.sum() == 1 and whole[i] and _BOTH < (height[rows] < between).mean() < 1.0 - _BOTH:
-            goes = height[rows] < between
+            goes = _parted(sorting, rows, height[rows] - between)
         else:
             goes = np.full(len(rows), means[i] < (between if whole[i] else threshold))
         sorting.set(rows[~goes], TEETH_UPPER)
         sorting.set(rows[goes], TEETH_LOWER)
 
 
-def _largest_gap(heights: FloatArray) -> float:
-    """The middle of the largest gap between heights that lies near the template's bite, 0 where there is none."""
+def _parted(sorting: _Sorting, rows: IntArray, height: FloatArray) -> BoolArray:
+    """(k,) which points of a piece that holds both rows belong to the lower one.
+
+    By the way along the piece to what surely is of either: tips of upper teeth hang before lower ones.
+    """
+    own = np.full(len(sorting.points), -1)
+    own[rows] = np.arange(len(rows))
+    mine = own[sorting.triangles]
+    mine = mine[(mine >= 0).all(axis=1)]
+    seeds = [np.flatnonzero(height > _SURE), np.flatnonzero(height < -_SURE)]
+    graph = surface_graph(sorting.points[rows], np.pad(mine, ((0, 0), (0, 1)), constant_values=-1))
+    up, down = graph_distances(graph, seeds)
+    return np.asarray(np.where(np.isfinite(up) & np.isfinite(down), down < up, height < 0))
+
+
+def _largest_gap(heights: FloatArray, within: float = _BITE) -> float:
+    """The middle of the largest gap between heights that lies near 0, 0 where there is none."""
     ordered = np.sort(heights)
     gaps, middles = np.diff(ordered), (ordered[1:] + ordered[:-1]) / 2
-    gaps = np.where(np.abs(middles) < _BITE, gaps, 0.0)
+    gaps = np.where(np.abs(middles) < within, gaps, 0.0)
     return float(middles[gaps.argmax()]) if len(gaps) and gaps.max() > _GAP else 0.0
 
 
