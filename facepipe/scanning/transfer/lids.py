@@ -46,6 +46,7 @@ _OVER_MM = 0.03  # that the upper margin goes below the lower
 _SETTLED_MM, _ROUNDS = 0.02, 4  # of gaps that edges leave between points
 _MOST_MORE_MM = 0.5  # that the upper margin goes lower for them
 _NARROW = 0.35  # of the opening: corners, where margins may give way so that nothing turns over
+_OPEN_MM = 0.3  # of gaps, that points which don't turn over may cost
 _OUTLINE = 0.012  # radians from the hole, up to which points are its outline
 _SETTLES = 4
 _MOST_UNFOLDED = 32  # rounds
@@ -311,7 +312,9 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
     excess = _smooth(0.5 * (step - np.clip(step, -_STEP_MM, _STEP_MM)) * ends, 15)
     ways = np.stack([meeting - ends * _OVER_MM / mm - eye.upper, meeting - eye.lower])
     # an upright edge at a corner bends over the hole's last columns: its ends move as those before it do
-    inner = np.clip(np.arange(len(eye.columns)), min(_BENT, len(eye.columns) // 2), max(len(eye.columns) - 1 - _BENT, 0))
+    inner = np.clip(
+        np.arange(len(eye.columns)), min(_BENT, len(eye.columns) // 2), max(len(eye.columns) - 1 - _BENT, 0)
+    )
     ways = ways[:, inner]
     lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess) * fade
     way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways)) * fade
@@ -335,8 +338,15 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
             break
         more = np.minimum(more + ends * _pooled(gaps, eye, start, triangles) / mm, _MOST_MORE_MM / mm)
     seen = _seen(points, triangles, eye)
-    for _ in range(_SETTLES):  # each may undo a little of the other
-        ended = _clear(points, _unfolded(points, ended, triangles, seen, eye), seen, eye)
+    met, most = ended, max(float(gaps.max(initial=0.0)), _OPEN_MM)
+    for outline in (_OUTLINE, np.inf):  # of the margins what the outline needs, or all, where that opens the eye
+        for _ in range(_SETTLES):  # each may undo a little of the other
+            ended = _clear(points, _unfolded(points, ended, triangles, seen, eye, outline), seen, eye)
+        if _gaps(ended, triangles, eye).max(initial=0.0) <= most:
+            break
+        ended = met
+    else:
+        ended = _clear(points, met, seen, eye)
     delta = ended - points
     after = eye.polar(ended[near])
     inbetweens = {}
@@ -430,12 +440,17 @@ def _pooled(gaps: FloatArray, eye: Aperture, start: FloatArray, triangles: IntAr
     return np.asarray(maximum_filter1d(gaps, 2 * cells + 1))
 
 
-def _unfolded(points: FloatArray, ended: FloatArray, triangles: IntArray, seen: IntArray, eye: Aperture) -> FloatArray:
-    """`ended` with the motion of points of triangles that turn over made that of those around, margins kept."""
+def _unfolded(
+    points: FloatArray, ended: FloatArray, triangles: IntArray, seen: IntArray, eye: Aperture, kept: float
+) -> FloatArray:
+    """`ended` with the motion of points of triangles that turn over made that of those around.
+
+    :param kept: radians from the hole, up to which points of the margins stay where they meet
+    """
     margin = np.zeros(len(points), bool)
     polar = eye.polar(points[eye.near])
     upper, lower = (np.interp(polar[:, 0], eye.columns, row) for row in (eye.upper, eye.lower))
-    outline = np.abs(polar[:, 1] - np.where(eye.side > 0, upper, lower)) < _OUTLINE
+    outline = np.abs(polar[:, 1] - np.where(eye.side > 0, upper, lower)) < kept
     wide = (upper - lower > _NARROW * (eye.upper - eye.lower).max()) & (polar[:, 0] > eye.columns[0])
     margin[eye.near[(eye.distance <= 0) & outline & wide & (polar[:, 0] < eye.columns[-1])]] = True
     pairs = distinct_edges(np.concatenate([triangles[:, :2], triangles[:, 1:], triangles[:, [2, 0]]]))[0]
@@ -459,6 +474,12 @@ def _unfolded(points: FloatArray, ended: FloatArray, triangles: IntArray, seen: 
         around = total[marked] / np.bincount(mine[:, 0], minlength=len(points))[marked, None]
         delta = delta.copy()
         delta[marked] += 0.5 * (around - delta[marked])
+        # a triangle that moves as one turns over nowhere
+        together = delta[seen[flips]].mean(axis=1, keepdims=True)
+        rows = seen[flips].ravel()
+        toward = (together - delta[seen[flips]]).reshape(-1, 3)[~margin[rows]]
+        rows = rows[~margin[rows]]
+        delta[rows] += 0.5 * toward
     return points + best
 
 
