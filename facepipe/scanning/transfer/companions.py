@@ -180,10 +180,10 @@ class Companions:
             far = smoothstep(np.linalg.norm(by, axis=1) / _FAR_MM)[:, None] * self._laid
             whole[self._tongue] += share * (by + far * (on - self.points[self._tongue]))
         for side, kind in (("Left", EYE_LEFT), ("Right", EYE_RIGHT)):
-            turn, globe = self.motion.turn(name, side), self.pieces.globes.get(side)
-            if turn is not None and globe is not None:
+            turn, ball = self.motion.turn(name, side), self.pieces.globes.get(side)
+            if turn is not None and ball is not None:
                 own = self.pieces.of(kind)
-                offsets = self.points[own] - globe.centre
+                offsets = self.points[own] - ball.centre
                 whole[own] = share * (offsets @ turn.T - offsets)
         return whole
 
@@ -227,7 +227,7 @@ class Companions:
     def _between_lids(
         self, apertures: Mapping[str, Aperture]
     ) -> list[tuple[tuple[Binding, Binding], FloatArray, Globe]]:
-        """Tear lines and shells before an eye: at each lid they go with it, between them as far as they are from both."""
+        """Tear lines and shells before an eye: they go with the lid that they are at, and between both."""
         found, every = [], self.pieces.of(TEARS)
         if not len(every) or not apertures:
             return []
@@ -271,7 +271,7 @@ class Companions:
         if not len(model):
             return rows[:0], np.zeros((0, 1), np.int64), np.zeros((0, 1))
         count = min(_NEAREST, len(model))
-        own, fade = self.points[rows], np.ones(len(rows))
+        own, fade = self.points[rows], np.asarray(np.ones(len(rows)))
         if len(rows):
             # the head's tongue laid into the box of the template's: they may lie elsewhere, and be of another length
             (low, high), (first, last) = ((one.min(axis=0), one.max(axis=0)) for one in (own, model))

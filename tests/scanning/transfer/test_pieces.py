@@ -91,7 +91,9 @@ def test_layers_of_an_eye_go_together_and_a_glass_before_it_does_not() -> None:
     cap.remove_unreferenced_vertices()
     glass = trimesh.creation.cylinder(20.0, 1.0)
     count = len(head.points)
-    points = np.concatenate([head.points, cap.vertices + np.array([x, y, -5.5]), glass.vertices + np.array([x, y, 22.0])])
+    points = np.concatenate(
+        [head.points, cap.vertices + np.array([x, y, -5.5]), glass.vertices + np.array([x, y, 22.0])]
+    )
     triangles = np.concatenate([head.triangles, cap.faces + count, glass.faces + count + len(cap.vertices)])
     pieces = pieces_of(points, triangles, head.landmarks)
     own = np.arange(count, count + len(cap.vertices))
