@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,7 @@ from facepipe.scanning.transfer.pieces import (
     TONGUE,
     Inside,
     Pieces,
+    pieces_of,
 )
 from facepipe.verbs.skin.surface import smoothstep
 
@@ -44,6 +45,7 @@ _LOOKS = {  # shape -> radians about the face's left, up and forwards axes
 _ROOT_MM = 1.2  # points of a lash so much farther from the lid than its nearest one are its root
 _MARGIN_MM = 5.0  # from the margin: skin that lashes and tear lines hold on to
 _NEAREST = 4  # points of the template's tongue that a point of the head's follows
+_TONGUE_SHARE = 0.2  # of the farthest point's way beside the jaw: from there on points of gums are tongue
 _FAR_MM = 15.0  # that a tongue goes, from where it goes as the template's
 _TONGUE_MM = 8.0  # from the template's tongue: what of gums with a tongue is tongue
 
@@ -295,3 +297,36 @@ def _outside(points: FloatArray, moves: FloatArray, globe: Globe) -> FloatArray:
     short = np.maximum(np.minimum(globe.heights(points), 0.3) - globe.heights(ended), 0.0)
     offsets = ended - globe.centre
     return np.asarray(moves + (short / np.maximum(np.linalg.norm(offsets, axis=1), 1e-9))[:, None] * offsets)
+
+
+def motion_of(
+    neutral: FloatArray,
+    triangles: IntArray,
+    landmarks: FloatArray,
+    deltas: Mapping[str, FloatArray],
+    fitted: FloatArray,
+) -> Motion:
+    """How a template moves what is inside it, found as a head's own pieces are, and by its own shapes.
+
+    :param neutral: (w, 3) mm, whole points of the template, cuts sewn or not
+    :param triangles: (t, 3)
+    :param landmarks: (68, 3) mm
+    :param deltas: name -> (w, 3) mm
+    :param fitted: (w, 3) mm, the template on the head
+    """
+    own = pieces_of(neutral, triangles, landmarks)
+    inside = Inside(
+        points=neutral,
+        balls={"Left": own.of(EYE_LEFT), "Right": own.of(EYE_RIGHT)},
+        upper=own.of(TEETH_UPPER),
+        lower=own.of(TEETH_LOWER),
+        tongue=own.of(TONGUE),
+    )
+    gums = own.of(MOUTH)
+    if not len(inside.tongue) and "tongueOut" in deltas and len(gums):
+        # one piece with gums: of it what goes farther than with the jaw
+        jaw = Motion(neutral=neutral, deltas=deltas, inside=inside).jaw("tongueOut", neutral[gums])
+        beside = np.linalg.norm(deltas["tongueOut"][gums] - (0.0 if jaw is None else jaw), axis=1)
+        still = np.linalg.norm(deltas["tongueOut"][gums], axis=1) < _MOVES_MM
+        inside = replace(inside, tongue=gums[~still & (beside > _TONGUE_SHARE * beside[~still].max(initial=0.0))])
+    return Motion(neutral=neutral, deltas=deltas, inside=replace(inside, points=fitted))

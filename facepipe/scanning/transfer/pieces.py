@@ -45,7 +45,9 @@ _AROUND, _BEFORE = 1.3, 0.25  # of an eye's width: what may be part of an eye, a
 _LAYER = 1.3  # radii: layers of an eye lie within
 _LONG = 1.6  # times as wide as high: no cornea, but a shell between the lids
 _MOUTH_BOX = np.array([[-46.0, -40.0, -90.0], [46.0, 30.0, 4.0]])  # mm from the mouth's middle
-_TOOTH, _GAP, _BITE = 17.0, 2.5, 14.0  # mm: largest single tooth; between rows; how far the bite is from the template's
+_TOOTH, _GAP, _BITE = 17.0, 2.5, 18.0  # mm: largest single tooth; between rows; how far the bite is from the template's
+_FEW_TEETH = 4
+_LEANS = np.linspace(-0.6, 0.6, 25)  # slopes of the head's bite against the template's
 _NEAR_BITE = 3.0  # mm: of rows in one piece, whose points leave gaps at crowns and roots too
 _SURE = 4.0  # mm from the bite, from which on points of such a piece surely are of their row
 _TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth's sheet; how far teeth come out of them
@@ -301,38 +303,52 @@ def _rows(
     sorting: _Sorting, teeth: Sequence[IntArray], said: IntArray, jaw: FloatArray | None, inside: Inside | None
 ) -> None:
     """Sorts teeth into rows: by the jaw's weights, by names, else each piece by the gap between the head's own rows."""
-    lower, slope = KINDS.index(TEETH_LOWER), 0.0
-    bite = 0.0
-    if inside is not None and len(inside.upper) and len(inside.lower):
-        middle, axes = sorting.landmarks[48:68].mean(axis=0), _face_axes(sorting.landmarks)
-        up, low = ((inside.points[rows] - middle) @ axes.T / sorting.scale for rows in (inside.upper, inside.lower))
-        slope = float(np.mean([np.polyfit(one[:, 2], one[:, 1], 1)[0] for one in (up, low)]))
-        bite = float(np.mean([(one[:, 1] - slope * one[:, 2]).mean() for one in (up, low)]))
-    height = sorting.local[:, 1] - slope * sorting.local[:, 2] - bite
-    means = np.array([height[rows].mean() for rows in teeth])
-    whole = np.array([np.ptp(sorting.local[rows, 0]) >= _TOOTH for rows in teeth])
-    threshold = _largest_gap(means[~whole]) if (~whole).sum() >= 4 else 0.0
-    between = threshold  # rows of one piece each lie apart, wherever the template's bite is
-    if whole.sum() > 1 and np.ptp(means[whole]) > 2.0 * _GAP:
-        between = float((means[whole].min() + means[whole].max()) / 2)
-    elif whole.sum() == 1 and whole.all():
-        # both rows in one: at the template's bite, or halfway, unless they part near there
-        about = 0.0 if inside is not None else float(height[teeth[0]].min() + height[teeth[0]].max()) / 2.0
-        threshold = between = about + _largest_gap(height[teeth[0]] - about, _NEAR_BITE)
+    lower = KINDS.index(TEETH_LOWER)
+    named = any(said[rows[0]] == lower for rows in teeth)
     weighted = jaw is not None and max(jaw[rows].mean() for rows in teeth) > 0.5
-    for i, rows in enumerate(teeth):
-        row_named = said[rows[0]] == lower or any(said[other[0]] == lower for other in teeth)
+    bite, slope = _bite(sorting, inside)
+    deep = sorting.local[:, 2] - np.mean([sorting.local[rows, 2].mean() for rows in teeth])
+    height = sorting.local[:, 1] - slope * sorting.local[:, 2] - bite
+    whole = np.array([np.ptp(sorting.local[rows, 0]) >= _TOOTH for rows in teeth])
+    if (~whole).sum() >= _FEW_TEETH:
+        # single teeth: the plane, of those about as steep as the template's, that leaves the largest gap between rows
+        means = np.array(
+            [[height[rows].mean(), deep[rows].mean()] for rows, row in zip(teeth, whole, strict=True) if not row]
+        )
+        leans = [(lean, *_largest_gap(means[:, 0] - lean * means[:, 1])) for lean in _LEANS]
+        lean, threshold, _ = max(leans, key=lambda one: one[2])
+        height = height - lean * deep - threshold
+    arches = np.array([height[rows].mean() for rows, row in zip(teeth, whole, strict=True) if row])
+    between = 0.0  # rows of one piece each lie apart, wherever the template's bite is
+    if len(arches) > 1 and np.ptp(arches) > 2.0 * _GAP:
+        between = float((arches.min() + arches.max()) / 2)
+    elif len(teeth) == 1 and len(arches):
+        # both rows in one: at the template's bite, or halfway, unless they part near there
+        own = height[teeth[0]]
+        between = 0.0 if inside is not None else float(own.min() + own.max()) / 2.0
+        between += _largest_gap(own - between, _NEAR_BITE)[0]
+    for rows, row in zip(teeth, whole, strict=True):
         if weighted and jaw is not None:
             own = jaw[rows] > 0.5
             goes = own if 0.1 < own.mean() < 0.9 else np.full(len(rows), own.mean() > 0.5)
-        elif row_named and said[rows[0]] >= 0:
+        elif named and said[rows[0]] >= 0:
             goes = np.full(len(rows), said[rows[0]] == lower)
-        elif whole.sum() == 1 and whole[i] and _BOTH < (height[rows] < between).mean() < 1.0 - _BOTH:
+        elif row and len(arches) == 1 and _BOTH < (height[rows] < between).mean() < 1.0 - _BOTH:
             goes = _parted(sorting, rows, height[rows] - between)
         else:
-            goes = np.full(len(rows), means[i] < (between if whole[i] else threshold))
+            goes = np.full(len(rows), height[rows].mean() < (between if row else 0.0))
         sorting.set(rows[~goes], TEETH_UPPER)
         sorting.set(rows[goes], TEETH_LOWER)
+
+
+def _bite(sorting: _Sorting, inside: Inside | None) -> tuple[float, float]:
+    """Height above the mouth's middle, and slope from front to back, of the template's bite on the head."""
+    if inside is None or not len(inside.upper) or not len(inside.lower):
+        return 0.0, 0.0
+    middle, axes = sorting.landmarks[48:68].mean(axis=0), _face_axes(sorting.landmarks)
+    both = [(inside.points[rows] - middle) @ axes.T / sorting.scale for rows in (inside.upper, inside.lower)]
+    slope = float(np.mean([np.polyfit(one[:, 2], one[:, 1], 1)[0] for one in both]))
+    return float(np.mean([(one[:, 1] - slope * one[:, 2]).mean() for one in both])), slope
 
 
 def _parted(sorting: _Sorting, rows: IntArray, height: FloatArray) -> BoolArray:
@@ -350,12 +366,14 @@ def _parted(sorting: _Sorting, rows: IntArray, height: FloatArray) -> BoolArray:
     return np.asarray(np.where(np.isfinite(up) & np.isfinite(down), down < up, height < 0))
 
 
-def _largest_gap(heights: FloatArray, within: float = _BITE) -> float:
-    """The middle of the largest gap between heights that lies near 0, 0 where there is none."""
+def _largest_gap(heights: FloatArray, within: float = _BITE) -> tuple[float, float]:
+    """The middle of the largest gap between heights that lies near 0, 0 where there is none, and how large it is."""
     ordered = np.sort(heights)
     gaps, middles = np.diff(ordered), (ordered[1:] + ordered[:-1]) / 2
     gaps = np.where(np.abs(middles) < within, gaps, 0.0)
-    return float(middles[gaps.argmax()]) if len(gaps) and gaps.max() > _GAP else 0.0
+    if not len(gaps) or gaps.max() <= _GAP:
+        return 0.0, 0.0
+    return float(middles[gaps.argmax()]), float(gaps.max())
 
 
 def _around(sorting: _Sorting) -> None:

@@ -9,8 +9,9 @@ import plain_heads
 import pytest
 from scipy.spatial.transform import Rotation
 
-from facepipe.geometry.polygons import flipped_triangles
-from facepipe.scanning.transfer.companions import Motion
+from facepipe.geometry.polygons import flipped_triangles, point_triangles
+from facepipe.heads.asset import asset
+from facepipe.scanning.transfer.companions import Motion, motion_of
 from facepipe.scanning.transfer.finish import Finished, finished, mouth_is_sealed
 from facepipe.scanning.transfer.pieces import Hints, Inside, Pieces, pieces_of
 
@@ -142,3 +143,27 @@ def test_what_cannot_be_is_said() -> None:
 def test_a_sealed_mouth_is_told_by_the_way_over_it(*, holes: bool) -> None:
     points, triangles = plain_heads.skin(holes=holes)
     assert mouth_is_sealed(points, triangles, plain_heads.landmarks()) is not holes
+
+
+def test_the_inside_of_the_head_in_the_box_is_found() -> None:
+    head = asset()
+    triangles = point_triangles(head.counts, head.indices)
+    deltas = {name: 10.0 * head.shapes[name][1.0].astype(np.float64) for name in ("jawOpen", "tongueOut")}
+    points = 10.0 * head.points
+    motion = motion_of(points, triangles, points[head.landmarks], deltas, 1.2 * points)
+    inside, teeth = motion.inside, head.parts["Teeth"].points
+    down = np.linalg.norm(deltas["jawOpen"], axis=1) > 5.0
+    every = np.arange(teeth.start, teeth.stop)
+    assert set(inside.lower) == set(every[down[every]])
+    assert set(inside.upper) == set(every[~down[every]])
+    for side in plain_heads.EYES:
+        ball = head.parts[f"Eyeball{side}"].points
+        assert np.array_equal(inside.balls[side], np.arange(ball.start, ball.stop))
+    gums = head.parts["GumsAndTongue"].points
+    assert len(inside.tongue) > 100
+    assert gums.start <= inside.tongue.min() <= inside.tongue.max() < gums.stop
+    assert np.isclose(motion.size, 1.2)
+    opened = motion.jaw("jawOpen", inside.points[inside.lower])
+    assert opened is not None
+    assert np.allclose(opened, 1.2 * deltas["jawOpen"][inside.lower], atol=0.4)
+    assert motion.jaw("tongueOut", inside.points[:3]) is not None  # the jaw opens for it
