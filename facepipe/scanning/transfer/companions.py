@@ -76,14 +76,15 @@ class Motion:
         offsets = points - about
         return np.asarray(offsets @ rotation.T - offsets + self.size * delta[rows].mean(axis=0))
 
-    def tongue(self, name: str) -> FloatArray | None:
-        """(t, 3) mm that the template's tongue moves besides its jaw; None: it doesn't."""
-        rows, delta = self.inside.tongue, self.deltas.get(name)
+    def tongue(self, name: str, rows: IntArray) -> FloatArray | None:
+        """(t, 3) mm that points of the template's tongue move besides its jaw; None: they don't."""
+        delta = self.deltas.get(name)
         if delta is None or not len(rows):
             return None
         own = self.size * delta[rows]
         with_jaw = self.jaw(name, self.inside.points[rows])
-        own = own if with_jaw is None else own - with_jaw
+        moves = np.linalg.norm(own, axis=1, keepdims=True) > _MOVES_MM  # upper gums do not go with the jaw
+        own = own if with_jaw is None else np.where(moves, own - with_jaw, 0.0)
         return own if np.abs(own).max() > _MOVES_MM else None
 
     def turn(self, name: str, side: str) -> FloatArray | None:
@@ -152,8 +153,10 @@ class Companions:
         self._bindings += self._lashes(triangles, apertures)
         self._tears = self._between_lids(apertures)
         self._jaw_share = self._shares()
+        # gums that are one piece with a tongue follow those of the template that are, else its tongue
+        self._laid, inside = float(len(pieces.of(TONGUE)) > 0), motion.inside
+        self._model = inside.gums if len(inside.gums) and not self._laid else inside.tongue
         self._tongue, self._tongue_near, self._tongue_weights = self._tongues()
-        self._laid = float(len(pieces.of(TONGUE)) > 0)
 
     def delta(self, name: str, skin: FloatArray, share: float = 1.0) -> FloatArray:
         """(n, 3) mm of the whole head for a shape.
@@ -174,9 +177,9 @@ class Companions:
         with_jaw = self.motion.jaw(name, self.points)
         if with_jaw is not None:
             whole += share * self._jaw_share[:, None] * with_jaw
-        beside = self.motion.tongue(name)
+        beside = self.motion.tongue(name, self._model)
         if beside is not None and len(self._tongue):
-            model = self.motion.inside.points[self.motion.inside.tongue]
+            model = self.motion.inside.points[self._model]
             on, by = (np.einsum("kn,kni->ki", self._tongue_weights, one[self._tongue_near]) for one in (model, beside))
             # what goes far goes from where the template's does: a tongue that lay lower would come through the lip
             far = smoothstep(np.linalg.norm(by, axis=1) / _FAR_MM)[:, None] * self._laid
@@ -268,8 +271,7 @@ class Companions:
         """Points that are tongue, the template's (k, m) points that each follows, and how much (k, m)."""
         from scipy.spatial import cKDTree
 
-        inside, rows = self.motion.inside, self.pieces.of(TONGUE)
-        model = inside.points[inside.tongue]
+        rows, model = self.pieces.of(TONGUE), self.motion.inside.points[self._model]
         if not len(model):
             return rows[:0], np.zeros((0, 1), np.int64), np.zeros((0, 1))
         count = min(_NEAREST, len(model))
@@ -328,5 +330,7 @@ def motion_of(
         jaw = Motion(neutral=neutral, deltas=deltas, inside=inside).jaw("tongueOut", neutral[gums])
         beside = np.linalg.norm(deltas["tongueOut"][gums] - (0.0 if jaw is None else jaw), axis=1)
         still = np.linalg.norm(deltas["tongueOut"][gums], axis=1) < _MOVES_MM
-        inside = replace(inside, tongue=gums[~still & (beside > _TONGUE_SHARE * beside[~still].max(initial=0.0))])
+        inside = replace(
+            inside, gums=gums, tongue=gums[~still & (beside > _TONGUE_SHARE * beside[~still].max(initial=0.0))]
+        )
     return Motion(neutral=neutral, deltas=deltas, inside=replace(inside, points=fitted))

@@ -74,6 +74,7 @@ class Inside:
     upper: IntArray
     lower: IntArray
     tongue: IntArray
+    gums: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # one piece with the tongue; none where apart
 
     def globe(self, side: str) -> Globe | None:
         """The template's eyeball there, as what lids slide over; None: it has none."""
