@@ -28,6 +28,7 @@ from facepipe.scanning.transfer.pieces import (
     TONGUE,
     Inside,
     Pieces,
+    by_number,
     pieces_of,
 )
 from facepipe.verbs.skin.surface import smoothstep
@@ -207,26 +208,33 @@ class Companions:
 
     def _lashes(self, triangles: IntArray, apertures: Mapping[str, Aperture]) -> list[Binding]:
         """Lashes by their roots, on the lid that these are nearest to: tips lie nearer to other skin."""
-        bindings, every = [], self.pieces.of(LASHES)
-        for number in np.unique(self.pieces.piece[every]):
-            rows = every[self.pieces.piece[every] == number]
-            middle = self.points[rows].mean(axis=0)
-            eye = min(apertures.values(), key=lambda one: np.linalg.norm(one.globe.centre - middle), default=None)
-            lids = [] if eye is None else [lid for side in (1, -1) if len(lid := self._lid(eye, side))]
-            found = [SurfaceSearch(self.points, lid).closest(self.points[rows]) for lid in lids or [self._skin]]
-            away = [np.sort(one.distances)[: max(len(rows) // 4, 1)].mean() for one in found]
-            places, lid = found[int(np.argmin(away))], (lids or [self._skin])[int(np.argmin(away))]
-            roots = np.flatnonzero(places.distances <= places.distances.min() + _ROOT_MM)
-            own = np.full(len(self.points), -1)
-            own[rows] = np.arange(len(rows))
-            mine = own[triangles[(own[triangles] >= 0).all(axis=1)]]
-            graph = surface_graph(self.points[rows], np.pad(mine, ((0, 0), (0, 1)), constant_values=-1))
+        every, bindings = self.pieces.of(LASHES), []
+        lids = [
+            (eye.globe.centre, lid)
+            for eye in apertures.values()
+            for side in (1, -1)
+            if len(lid := self._lid(eye, side))
+        ]
+        if not len(every) or not lids:
+            return [self._bound(every, self._skin)]
+        found = [SurfaceSearch(self.points, lid).closest(self.points[every]) for _, lid in lids]
+        shares = [place_shares(places, self.points, lid) for places, (_, lid) in zip(found, lids, strict=True)]
+        faces = by_number(self.pieces.piece[triangles[:, 0]], np.arange(len(triangles)))
+        own = np.full(len(self.points), -1)
+        for number, at in by_number(self.pieces.piece[every], np.arange(len(every))).items():
+            away = [np.sort(one.distances[at])[: max(len(at) // 4, 1)].mean() for one in found]
+            best = int(np.argmin(away))
+            distances = found[best].distances[at]
+            roots = np.flatnonzero(distances <= distances.min() + _ROOT_MM)
+            own[every[at]] = np.arange(len(at))
+            mine = own[triangles[faces[number]]]
+            mine = mine[(mine >= 0).all(axis=1)]
+            graph = surface_graph(self.points[every[at]], np.pad(mine, ((0, 0), (0, 1)), constant_values=-1))
             root = nearest_sources(graph, roots)
-            root = np.where(root < 0, roots[0], root)
-            shares = place_shares(places, self.points, lid)
-            about = None if eye is None else eye.globe.centre
-            corners = lid[places.triangles]
-            bindings.append(Binding(rows=rows, corners=corners[root], shares=shares[root], about=about))
+            root = at[np.where(root < 0, roots[0], root)]
+            about, lid = lids[best]
+            corners = lid[found[best].triangles[root]]
+            bindings.append(Binding(rows=every[at], corners=corners, shares=shares[best][root], about=about))
         return bindings
 
     def _between_lids(
@@ -275,7 +283,8 @@ class Companions:
         if not len(model):
             return rows[:0], np.zeros((0, 1), np.int64), np.zeros((0, 1))
         count = min(_NEAREST, len(model))
-        own, fade = self.points[rows], np.asarray(np.ones(len(rows)))
+        own = self.points[rows]
+        fade: FloatArray = np.ones(len(rows))
         if len(rows):
             # the head's tongue laid into the box of the template's: they may lie elsewhere, and be of another length
             (low, high), (first, last) = ((one.min(axis=0), one.max(axis=0)) for one in (own, model))

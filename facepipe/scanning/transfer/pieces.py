@@ -115,6 +115,17 @@ class _Sorting:
     def set(self, rows: IntArray | BoolArray, kind: str) -> None:
         self.kind[rows] = KINDS.index(kind)
 
+    def free(self) -> list[IntArray]:
+        """Points of each piece of which nothing is known yet."""
+        return list(by_number(self.piece, np.flatnonzero(self.kind < 0)).values())
+
+
+def by_number(numbers: IntArray, rows: IntArray) -> dict[int, IntArray]:
+    """`rows` by their number: one sort, as heads may have hair of thousands of pieces."""
+    order = rows[np.argsort(numbers[rows], kind="stable")]
+    own, starts = np.unique(numbers[order], return_index=True)
+    return dict(zip(own.tolist(), np.split(order, starts[1:]), strict=True)) if len(rows) else {}
+
 
 def pieces_of(
     points: FloatArray,
@@ -185,6 +196,8 @@ def named_kind(name: str) -> tuple[int, bool]:
 
     if words[:1] == ["joint"]:  # cubes that mark joints
         return KINDS.index(HELPER), True
+    if all(any(map(has, _WORDS[kind])) for kind in (TONGUE, TEETH_UPPER)):  # several in one
+        return -1, False
     for kind, parts in _WORDS.items():
         if any(map(has, parts)) and not (kind == HELPER and "eye" in joined):
             if kind != TEETH_UPPER:
@@ -198,18 +211,17 @@ def _eyeball(sorting: _Sorting, side: str) -> Globe | None:
     """Marks the pieces of an eyeball, and shells between its lids; None where no ball covers the aperture's middle."""
     middle, axes, width = eye_frame(sorting.landmarks, side)
     local = (sorting.points - middle) @ axes.T / max(width, 1e-9)
-    free = np.flatnonzero(sorting.kind < 0)
-    reach = np.abs(local[free]).max(axis=1)
+    reach = np.abs(local).max(axis=1)
     candidates = [
-        rows for number in np.unique(sorting.piece[free[reach < _AROUND]])
-        if len(rows := free[sorting.piece[free] == number]) >= 4 and np.abs(local[rows]).max() < 2.0 * _AROUND
-    ]  # fmt: skip
+        rows
+        for rows in sorting.free()
+        if len(rows) >= 4 and reach[rows].min() < _AROUND and reach[rows].max() < 2.0 * _AROUND
+    ]
+    faces = by_number(sorting.piece[sorting.triangles[:, 0]], np.arange(len(sorting.triangles)))
     areas = point_areas(sorting.points, sorting.triangles)
     best: tuple[float, Ball, IntArray] | None = None
     for rows in candidates:
-        member = np.zeros(len(sorting.points), bool)
-        member[rows] = True
-        if not _covers(local, sorting.triangles[member[sorting.triangles[:, 0]]]):
+        if not _covers(local, sorting.triangles[faces[int(sorting.piece[rows[0]])]]):
             continue
         try:
             ball = fit_ball(sorting.points[rows], areas[rows] if areas[rows].any() else None)
@@ -257,10 +269,9 @@ def _covers(local: FloatArray, triangles: IntArray) -> bool:
 
 def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: Inside | None) -> tuple[str, ...]:
     """Marks teeth, tongue and what else is in the mouth; what is to be said of it."""
-    local, kind = sorting.local, sorting.kind
+    local = sorting.local
     teeth, tongues, sheets = [], [], []
-    for number in np.unique(sorting.piece[kind < 0]):
-        rows = np.flatnonzero((sorting.piece == number) & (kind < 0))
+    for rows in sorting.free():
         own, low, high = said[rows[0]], local[rows].min(axis=0), local[rows].max(axis=0)
         middle = local[rows].mean(axis=0)
         named = own in map(KINDS.index, (TONGUE, TEETH_UPPER, TEETH_LOWER))
@@ -310,7 +321,7 @@ def _rows(
     bite, slope = _bite(sorting, inside)
     deep = sorting.local[:, 2] - np.mean([sorting.local[rows, 2].mean() for rows in teeth])
     height = sorting.local[:, 1] - slope * sorting.local[:, 2] - bite
-    whole = np.array([np.ptp(sorting.local[rows, 0]) >= _TOOTH for rows in teeth])
+    whole = np.array([bool(np.ptp(sorting.local[rows, 0]) >= _TOOTH) for rows in teeth], bool)
     if (~whole).sum() >= _FEW_TEETH:
         # single teeth: the plane, of those about as steep as the template's, that leaves the largest gap between rows
         means = np.array(
@@ -325,9 +336,9 @@ def _rows(
         between = float((arches.min() + arches.max()) / 2)
     elif len(teeth) == 1 and len(arches):
         # both rows in one: at the template's bite, or halfway, unless they part near there
-        own = height[teeth[0]]
-        between = 0.0 if inside is not None else float(own.min() + own.max()) / 2.0
-        between += _largest_gap(own - between, _NEAR_BITE)[0]
+        both = height[teeth[0]]
+        between = 0.0 if inside is not None else float(both.min() + both.max()) / 2.0
+        between += _largest_gap(both - between, _NEAR_BITE)[0]
     for rows, row in zip(teeth, whole, strict=True):
         if weighted and jaw is not None:
             own = jaw[rows] > 0.5
@@ -382,8 +393,8 @@ def _around(sorting: _Sorting) -> None:
     from scipy.spatial import cKDTree
 
     marks, scale = sorting.landmarks, sorting.scale
-    free = np.unique(sorting.piece[sorting.kind < 0])
-    if not len(free) or not len(sorting.skin):
+    free = sorting.free()
+    if not free or not len(sorting.skin):
         return
     rows = np.flatnonzero(sorting.kind < 0)
     near = rows[np.linalg.norm(sorting.points[rows] - marks.mean(axis=0), axis=1) < 2.0 * _ACROSS * scale]
@@ -394,8 +405,7 @@ def _around(sorting: _Sorting) -> None:
     lids = np.concatenate([marks[part] for part in EYES.values()])
     trees = cKDTree(lids), cKDTree(marks[17:27])
     eyes_apart = float(np.linalg.norm(lids[:6].mean(axis=0) - lids[6:].mean(axis=0))) / scale
-    for number in free:
-        own = rows[sorting.piece[rows] == number]
+    for own in free:
         edge = own[border[own]]
         sewn = len(edge) > 0 and (away[edge] < _SEWN_MM).mean() > _SEWN_SHARE
         wide = np.ptp(sorting.local[own, 0])

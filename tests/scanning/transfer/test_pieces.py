@@ -127,6 +127,7 @@ def test_points_of_no_triangle_are_still() -> None:
         ("Wolf3D_Head", None),
         ("eye_left", None),
         ("tongue_geo", "tongue"),
+        ("Gums and tongue", None),
         ("eyebrows", "brows"),
         ("Beard", "growth"),
     ],
