@@ -54,7 +54,7 @@ def height(places: np.ndarray) -> np.ndarray:
 
 
 @cache
-def skin(*, spacing: float = 2.5, holes: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def skin(*, spacing: float = 3.2, holes: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Points and triangles of the face; `holes`: with openings for eyes and mouth, else they are sealed."""
     openings = [(EYES["Left"], _ALMOND, 40), (EYES["Right"], _ALMOND, 40), (MOUTH, _SLIT, 48)]
     x, y = np.meshgrid(np.arange(-66.0, 66.1, spacing), np.arange(-80.0, 75.1, spacing))
@@ -109,7 +109,9 @@ def solids(bite: float = 0.0) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
     """Pieces beside the skin by name; `bite`: mm that both rows of teeth lie higher than the slit's middle."""
     made: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
 
-    def put(name: str, mesh: trimesh.Trimesh | tuple[np.ndarray, np.ndarray], at: tuple[float, ...] = (0, 0, 0)) -> None:
+    def put(
+        name: str, mesh: trimesh.Trimesh | tuple[np.ndarray, np.ndarray], at: tuple[float, ...] = (0, 0, 0)
+    ) -> None:
         points, triangles = mesh if isinstance(mesh, tuple) else (mesh.vertices, mesh.faces)
         made.setdefault(name, []).append((np.asarray(points, float) + at, np.asarray(triangles, np.int64)))
 
@@ -123,8 +125,8 @@ def solids(bite: float = 0.0) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
         put("glasses", trimesh.creation.annulus(20.0, 23.0, 3.0), (x, y, 24.0))
     for i, turn in enumerate(np.radians(np.linspace(20, 160, 10))):
         at = (22 * np.cos(turn), MOUTH[1] + bite, -26 + 18 * np.sin(turn))
-        put("upper", trimesh.creation.box((4.5, 9.0, 4.0)), (at[0], at[1] + 4.0, at[2] + 1.0 + 0.01 * i))
-        put("lower", trimesh.creation.box((4.5, 9.0, 4.0)), (at[0], at[1] - 4.5, at[2]))
+        put("upper", trimesh.creation.box((4.5, 9.0, 4.0)), (at[0], at[1] + 4.8, at[2] + 1.0 + 0.01 * i))
+        put("lower", trimesh.creation.box((4.5, 9.0, 4.0)), (at[0], at[1] - 4.8, at[2]))
     tongue = trimesh.creation.icosphere(subdivisions=2)
     put("tongue", (tongue.vertices * (13.0, 4.0, 20.0), tongue.faces), (0, MOUTH[1] + bite - 5.0, -32.0))
     put("hat", trimesh.creation.cylinder(40.0, 12.0), (0, 85.0, -40.0))
@@ -142,6 +144,4 @@ def head(*, names: tuple[str, ...] = (), bite: float = 0.0, holes: bool = True) 
             triangles.append(faces + count)
             part.append(np.full(len(own), number))
             count += len(own)
-    return PlainHead(
-        np.concatenate(points), np.concatenate(triangles), landmarks(), np.concatenate(part), tuple(kept)
-    )
+    return PlainHead(np.concatenate(points), np.concatenate(triangles), landmarks(), np.concatenate(part), tuple(kept))

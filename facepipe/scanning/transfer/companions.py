@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,8 @@ from facepipe.scanning.transfer.pieces import (
     TONGUE,
     Inside,
     Pieces,
+    by_number,
+    pieces_of,
 )
 from facepipe.verbs.skin.surface import smoothstep
 
@@ -44,6 +46,7 @@ _LOOKS = {  # shape -> radians about the face's left, up and forwards axes
 _ROOT_MM = 1.2  # points of a lash so much farther from the lid than its nearest one are its root
 _MARGIN_MM = 5.0  # from the margin: skin that lashes and tear lines hold on to
 _NEAREST = 4  # points of the template's tongue that a point of the head's follows
+_TONGUE_SHARE = 0.2  # of the farthest point's way beside the jaw: from there on points of gums are tongue
 _FAR_MM = 15.0  # that a tongue goes, from where it goes as the template's
 _TONGUE_MM = 8.0  # from the template's tongue: what of gums with a tongue is tongue
 
@@ -74,14 +77,15 @@ class Motion:
         offsets = points - about
         return np.asarray(offsets @ rotation.T - offsets + self.size * delta[rows].mean(axis=0))
 
-    def tongue(self, name: str) -> FloatArray | None:
-        """(t, 3) mm that the template's tongue moves besides its jaw; None: it doesn't."""
-        rows, delta = self.inside.tongue, self.deltas.get(name)
+    def tongue(self, name: str, rows: IntArray) -> FloatArray | None:
+        """(t, 3) mm that points of the template's tongue move besides its jaw; None: they don't."""
+        delta = self.deltas.get(name)
         if delta is None or not len(rows):
             return None
         own = self.size * delta[rows]
         with_jaw = self.jaw(name, self.inside.points[rows])
-        own = own if with_jaw is None else own - with_jaw
+        moves = np.linalg.norm(own, axis=1, keepdims=True) > _MOVES_MM  # upper gums do not go with the jaw
+        own = own if with_jaw is None else np.where(moves, own - with_jaw, 0.0)
         return own if np.abs(own).max() > _MOVES_MM else None
 
     def turn(self, name: str, side: str) -> FloatArray | None:
@@ -150,8 +154,10 @@ class Companions:
         self._bindings += self._lashes(triangles, apertures)
         self._tears = self._between_lids(apertures)
         self._jaw_share = self._shares()
+        # gums that are one piece with a tongue follow those of the template that are, else its tongue
+        self._laid, inside = float(len(pieces.of(TONGUE)) > 0), motion.inside
+        self._model = inside.gums if len(inside.gums) and not self._laid else inside.tongue
         self._tongue, self._tongue_near, self._tongue_weights = self._tongues()
-        self._laid = float(len(pieces.of(TONGUE)) > 0)
 
     def delta(self, name: str, skin: FloatArray, share: float = 1.0) -> FloatArray:
         """(n, 3) mm of the whole head for a shape.
@@ -172,18 +178,18 @@ class Companions:
         with_jaw = self.motion.jaw(name, self.points)
         if with_jaw is not None:
             whole += share * self._jaw_share[:, None] * with_jaw
-        beside = self.motion.tongue(name)
+        beside = self.motion.tongue(name, self._model)
         if beside is not None and len(self._tongue):
-            model = self.motion.inside.points[self.motion.inside.tongue]
+            model = self.motion.inside.points[self._model]
             on, by = (np.einsum("kn,kni->ki", self._tongue_weights, one[self._tongue_near]) for one in (model, beside))
             # what goes far goes from where the template's does: a tongue that lay lower would come through the lip
             far = smoothstep(np.linalg.norm(by, axis=1) / _FAR_MM)[:, None] * self._laid
             whole[self._tongue] += share * (by + far * (on - self.points[self._tongue]))
         for side, kind in (("Left", EYE_LEFT), ("Right", EYE_RIGHT)):
-            turn, globe = self.motion.turn(name, side), self.pieces.globes.get(side)
-            if turn is not None and globe is not None:
+            turn, ball = self.motion.turn(name, side), self.pieces.globes.get(side)
+            if turn is not None and ball is not None:
                 own = self.pieces.of(kind)
-                offsets = self.points[own] - globe.centre
+                offsets = self.points[own] - ball.centre
                 whole[own] = share * (offsets @ turn.T - offsets)
         return whole
 
@@ -202,32 +208,39 @@ class Companions:
 
     def _lashes(self, triangles: IntArray, apertures: Mapping[str, Aperture]) -> list[Binding]:
         """Lashes by their roots, on the lid that these are nearest to: tips lie nearer to other skin."""
-        bindings, every = [], self.pieces.of(LASHES)
-        for number in np.unique(self.pieces.piece[every]):
-            rows = every[self.pieces.piece[every] == number]
-            middle = self.points[rows].mean(axis=0)
-            eye = min(apertures.values(), key=lambda one: np.linalg.norm(one.globe.centre - middle), default=None)
-            lids = [] if eye is None else [lid for side in (1, -1) if len(lid := self._lid(eye, side))]
-            found = [SurfaceSearch(self.points, lid).closest(self.points[rows]) for lid in lids or [self._skin]]
-            away = [np.sort(one.distances)[: max(len(rows) // 4, 1)].mean() for one in found]
-            places, lid = found[int(np.argmin(away))], (lids or [self._skin])[int(np.argmin(away))]
-            roots = np.flatnonzero(places.distances <= places.distances.min() + _ROOT_MM)
-            own = np.full(len(self.points), -1)
-            own[rows] = np.arange(len(rows))
-            mine = own[triangles[(own[triangles] >= 0).all(axis=1)]]
-            graph = surface_graph(self.points[rows], np.pad(mine, ((0, 0), (0, 1)), constant_values=-1))
+        every, bindings = self.pieces.of(LASHES), []
+        lids = [
+            (eye.globe.centre, lid)
+            for eye in apertures.values()
+            for side in (1, -1)
+            if len(lid := self._lid(eye, side))
+        ]
+        if not len(every) or not lids:
+            return [self._bound(every, self._skin)]
+        found = [SurfaceSearch(self.points, lid).closest(self.points[every]) for _, lid in lids]
+        shares = [place_shares(places, self.points, lid) for places, (_, lid) in zip(found, lids, strict=True)]
+        faces = by_number(self.pieces.piece[triangles[:, 0]], np.arange(len(triangles)))
+        own = np.full(len(self.points), -1)
+        for number, at in by_number(self.pieces.piece[every], np.arange(len(every))).items():
+            away = [np.sort(one.distances[at])[: max(len(at) // 4, 1)].mean() for one in found]
+            best = int(np.argmin(away))
+            distances = found[best].distances[at]
+            roots = np.flatnonzero(distances <= distances.min() + _ROOT_MM)
+            own[every[at]] = np.arange(len(at))
+            mine = own[triangles[faces[number]]]
+            mine = mine[(mine >= 0).all(axis=1)]
+            graph = surface_graph(self.points[every[at]], np.pad(mine, ((0, 0), (0, 1)), constant_values=-1))
             root = nearest_sources(graph, roots)
-            root = np.where(root < 0, roots[0], root)
-            shares = place_shares(places, self.points, lid)
-            about = None if eye is None else eye.globe.centre
-            corners = lid[places.triangles]
-            bindings.append(Binding(rows=rows, corners=corners[root], shares=shares[root], about=about))
+            root = at[np.where(root < 0, roots[0], root)]
+            about, lid = lids[best]
+            corners = lid[found[best].triangles[root]]
+            bindings.append(Binding(rows=every[at], corners=corners, shares=shares[best][root], about=about))
         return bindings
 
     def _between_lids(
         self, apertures: Mapping[str, Aperture]
     ) -> list[tuple[tuple[Binding, Binding], FloatArray, Globe]]:
-        """Tear lines and shells before an eye: at each lid they go with it, between them as far as they are from both."""
+        """Tear lines and shells before an eye: they go with the lid that they are at, and between both."""
         found, every = [], self.pieces.of(TEARS)
         if not len(every) or not apertures:
             return []
@@ -266,12 +279,12 @@ class Companions:
         """Points that are tongue, the template's (k, m) points that each follows, and how much (k, m)."""
         from scipy.spatial import cKDTree
 
-        inside, rows = self.motion.inside, self.pieces.of(TONGUE)
-        model = inside.points[inside.tongue]
+        rows, model = self.pieces.of(TONGUE), self.motion.inside.points[self._model]
         if not len(model):
             return rows[:0], np.zeros((0, 1), np.int64), np.zeros((0, 1))
         count = min(_NEAREST, len(model))
-        own, fade = self.points[rows], np.ones(len(rows))
+        own = self.points[rows]
+        fade: FloatArray = np.ones(len(rows))
         if len(rows):
             # the head's tongue laid into the box of the template's: they may lie elsewhere, and be of another length
             (low, high), (first, last) = ((one.min(axis=0), one.max(axis=0)) for one in (own, model))
@@ -295,3 +308,38 @@ def _outside(points: FloatArray, moves: FloatArray, globe: Globe) -> FloatArray:
     short = np.maximum(np.minimum(globe.heights(points), 0.3) - globe.heights(ended), 0.0)
     offsets = ended - globe.centre
     return np.asarray(moves + (short / np.maximum(np.linalg.norm(offsets, axis=1), 1e-9))[:, None] * offsets)
+
+
+def motion_of(
+    neutral: FloatArray,
+    triangles: IntArray,
+    landmarks: FloatArray,
+    deltas: Mapping[str, FloatArray],
+    fitted: FloatArray,
+) -> Motion:
+    """How a template moves what is inside it, found as a head's own pieces are, and by its own shapes.
+
+    :param neutral: (w, 3) mm, whole points of the template, cuts sewn or not
+    :param triangles: (t, 3)
+    :param landmarks: (68, 3) mm
+    :param deltas: name -> (w, 3) mm
+    :param fitted: (w, 3) mm, the template on the head
+    """
+    own = pieces_of(neutral, triangles, landmarks)
+    inside = Inside(
+        points=neutral,
+        balls={"Left": own.of(EYE_LEFT), "Right": own.of(EYE_RIGHT)},
+        upper=own.of(TEETH_UPPER),
+        lower=own.of(TEETH_LOWER),
+        tongue=own.of(TONGUE),
+    )
+    gums = own.of(MOUTH)
+    if not len(inside.tongue) and "tongueOut" in deltas and len(gums):
+        # one piece with gums: of it what goes farther than with the jaw
+        jaw = Motion(neutral=neutral, deltas=deltas, inside=inside).jaw("tongueOut", neutral[gums])
+        beside = np.linalg.norm(deltas["tongueOut"][gums] - (0.0 if jaw is None else jaw), axis=1)
+        still = np.linalg.norm(deltas["tongueOut"][gums], axis=1) < _MOVES_MM
+        inside = replace(
+            inside, gums=gums, tongue=gums[~still & (beside > _TONGUE_SHARE * beside[~still].max(initial=0.0))]
+        )
+    return Motion(neutral=neutral, deltas=deltas, inside=replace(inside, points=fitted))

@@ -37,13 +37,19 @@ _RISE = (0.0, 0.35)  # of the way, that the lower lid meets the upper one
 _USUAL_RISE = 0.12
 _AT_MARGIN = 0.045  # radians from the hole: of a coarse lid whose layers cross, no point lies on its outline
 _CANTHUS = 0.3  # radians from a corner, where margins start to meet halfway: shear there would turn triangles over
-_CORNER = 0.1  # radians beyond a corner, over which lids pass into what was carried
+_CORNER = 0.1  # radians beyond a corner, over which the motion of margins fades
+_BENT = 5  # columns
+_END = 0.03  # radians from a corner, where margins meet anyway
 _RIM_MM = 1.2  # along the skin from the margin: a lid's rim
 _STEP_MM = 0.5  # from one closed lid to the other, from before
 _OVER_MM = 0.03  # that the upper margin goes below the lower
 _SETTLED_MM, _ROUNDS = 0.02, 4  # of gaps that edges leave between points
 _MOST_MORE_MM = 0.5  # that the upper margin goes lower for them
-_MOST_UNFOLDED = 24  # rounds
+_NARROW = 0.35  # of the opening: corners, where margins may give way so that nothing turns over
+_OPEN_MM = 0.3  # of gaps, that points which don't turn over may cost
+_OUTLINE = 0.012  # radians from the hole, up to which points are its outline
+_SETTLES = 4
+_MOST_UNFOLDED = 32  # rounds
 _TOUCH_MM = 0.05  # of skin in the eyeball, that counts as on it
 _SLIDES_MM = 0.2  # shapes that move lids less leave them where they are
 
@@ -152,7 +158,7 @@ def aperture_of(
     # about the line from corner to corner, with the aperture's middle straight ahead
     ahead = middle - globe.centre
     ahead -= (ahead @ frame[0]) * frame[0]
-    ahead /= max(np.linalg.norm(ahead), 1e-9)
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     axes = np.stack([frame[0], np.cross(ahead, frame[0]), ahead])
     found = _Directions.of(points, triangles, globe, axes)
     hole = found.hole((middle - globe.centre) @ axes.T, marks, globe, axes)
@@ -257,7 +263,9 @@ def _lids(
     seeds = np.flatnonzero(there)
     seeds = seeds[rim[cells[seeds, 1], cells[seeds, 0]]]
     columns, upper, lower = margins
-    between = np.interp(found.places[seeds, 0], columns, (upper + lower) / 2)
+    # by the middle line of where the aperture is wide: at its very ends, edges of the hole decide which is which
+    line = np.polynomial.Polynomial.fit(columns, (upper + lower) / 2, 2, w=upper - lower + 1e-6)
+    between = line(np.clip(found.places[seeds, 0], columns[0], columns[-1]))
     above = found.places[seeds, 1] > between
     middle = points[seeds].mean(axis=0) if len(seeds) else points.mean(axis=0)
     around = np.linalg.norm(points - middle, axis=1) < _NEAR
@@ -285,58 +293,85 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
     """
     near, start = eye.near, points[eye.near]
     before = eye.polar(start)
-    low, high = (
-        np.stack([np.where(eye.side == s, _reach(eye, s)[i], 0.0) for s in (1, -1)]).sum(axis=0) for i in (0, 1)
-    )
+    low, high = np.where(eye.side > 0, *(np.array(_reach(eye, side))[:, None] for side in (1, -1)))
     follow = 1.0 - smoothstep((eye.distance - low) / (high - low))
-    beyond = np.maximum(eye.columns[0] - before[:, 0], before[:, 0] - eye.columns[-1])
-    fade = 1.0 - smoothstep(beyond / _CORNER)
-    follow *= fade
-    # margins meet on a line that is the lower one, raised a little
-    rise = _rise(points, eye, carried)
-    opening = eye.upper - eye.lower
-    inward = np.minimum(eye.columns - eye.columns[0], eye.columns[-1] - eye.columns)
-    rise = rise + (0.5 - rise) * (1.0 - smoothstep(inward / _CANTHUS))
-    meeting = _smooth(eye.lower + rise * opening, 3)
-    upper, mm = eye.side > 0, eye.globe.radius
-    # of rims that would meet one before the other, both give way
-    step = _rim(eye, before, 1) - _rim(eye, before, -1)
-    ends = np.clip(inward / _CORNER, 0.0, 1.0)
-    excess = _smooth(0.5 * (step - np.clip(step, -_STEP_MM, _STEP_MM)) * ends, 15)
-    ways = np.stack([meeting - ends * _OVER_MM / mm - eye.upper, meeting - eye.lower])
-    lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess)
-    way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways))
-    other = start + carried[near]
-    floor = _floor(before[:, 2])
-    more = np.zeros_like(eye.columns)
+    lines, floor = _meeting(points, eye, before, carried), _floor(before[:, 2])
+    ended, more = points + carried, np.zeros_like(eye.columns)
     for _ in range(_ROUNDS):
-        goal = before.copy()
-        goal[:, 1] += way - np.where(upper, np.interp(before[:, 0], eye.columns, more), 0.0)
-        # no margin passes the line by more than it must, as points off the hole's outline would
-        line, deeper = (np.interp(before[:, 0], eye.columns, row) for row in (meeting, ends * _OVER_MM / mm + more))
-        least, most = line - deeper, np.maximum(line, before[:, 1])
-        goal[:, 1] = np.where(upper, np.maximum(goal[:, 1], least), np.minimum(goal[:, 1], most))
-        goal[:, 2] += lift
-        slid = eye.places(goal)
-        mixed = other + follow[:, None] * (slid - other)
-        ended = points + carried
-        ended[near] = _lifted(eye, mixed, floor)
+        slid = eye.places(lines.goal(eye, before, more))
+        ended[near] = _lifted(eye, start + carried[near] + follow[:, None] * (slid - start - carried[near]), floor)
         gaps = _gaps(ended, triangles, eye)
         if gaps.max(initial=0.0) <= _SETTLED_MM:
             break
-        more = np.minimum(more + ends * _pooled(gaps, eye, start, triangles) / mm, _MOST_MORE_MM / mm)
-    seen = _seen(points, triangles, eye)
-    ended = _clear(points, _unfolded(points, ended, triangles, seen, eye), seen, eye)
-    delta = ended - points
-    after = eye.polar(ended[near])
+        missing = lines.ends * _pooled(gaps, eye, start, triangles)
+        more = np.minimum(more + missing / eye.globe.radius, _MOST_MORE_MM / eye.globe.radius)
+    delta = _settled(points, ended, triangles, eye, float(gaps.max(initial=0.0))) - points
+    after = eye.polar(start + delta[near])
     inbetweens = {}
     for share in WAYS:
-        arc = eye.places(before + share * (after - before))
-        chord = start + share * delta[near]
+        arc, chord = eye.places(before + share * (after - before)), start + share * delta[near]
         whole = share * delta
         whole[near] = _lifted(eye, chord + follow[:, None] * (arc - chord), floor) - start
         inbetweens[share] = whole
     return Blink(delta=delta, inbetweens=inbetweens, figures=lid_figures(points, delta, triangles, eye))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Meeting:
+    """Where the lids of an eye meet, for c columns."""
+
+    line: FloatArray  # (c,) turn
+    ways: FloatArray  # (2, c) radians that the upper and the lower margin go there
+    excess: FloatArray  # (c,) mm that both lids give way, of rims that would meet one before the other
+    ends: FloatArray  # (c,) 0 at the corners, where margins meet anyway, else 1
+
+    def goal(self, eye: Aperture, before: FloatArray, more: FloatArray) -> FloatArray:
+        """(k, 3) column, turn and height of lids that have closed.
+
+        :param before: (k, 3) of open ones
+        :param more: (c,) radians that the upper margin goes lower than it should have to
+        """
+
+        def at(values: FloatArray) -> FloatArray:
+            return np.interp(before[:, 0], eye.columns, values)
+
+        upper, goal = eye.side > 0, before.copy()
+        beyond = np.maximum(eye.columns[0] - before[:, 0], before[:, 0] - eye.columns[-1])
+        fade = 1.0 - smoothstep(beyond / _CORNER)
+        goal[:, 1] += fade * np.where(upper, at(self.ways[0] - more), at(self.ways[1]))
+        # no margin passes the line by more than it must, as points off the hole's outline would
+        line, deeper = at(self.line), at(self.ends * _OVER_MM / eye.globe.radius + more)
+        least, most = np.minimum(line - deeper, before[:, 1]), np.maximum(line, before[:, 1])
+        goal[:, 1] = np.where(upper, np.maximum(goal[:, 1], least), np.minimum(goal[:, 1], most))
+        goal[:, 2] += fade * np.where(upper, -1.0, 1.0) * at(self.excess)
+        return goal
+
+
+def _meeting(points: FloatArray, eye: Aperture, before: FloatArray, carried: FloatArray) -> _Meeting:
+    """The lower margin, raised as the template's is, and halfway between both at the corners."""
+    inward = np.minimum(eye.columns - eye.columns[0], eye.columns[-1] - eye.columns)
+    least_rise, ends = _rise(points, eye, carried), np.clip(inward / _END, 0.0, 1.0)
+    rise = least_rise + (0.5 - least_rise) * (1.0 - smoothstep(inward / _CANTHUS))
+    line = _smooth(eye.lower + rise * (eye.upper - eye.lower), 3)
+    step = _rim(eye, before, 1) - _rim(eye, before, -1)
+    excess = _smooth(0.5 * (step - np.clip(step, -_STEP_MM, _STEP_MM)) * ends, 15)
+    ways = np.stack([line - ends * _OVER_MM / eye.globe.radius - eye.upper, line - eye.lower])
+    # an upright edge at a corner bends over the hole's last columns: its ends move as those before it do
+    last = len(eye.columns) - 1
+    inner = np.clip(np.arange(last + 1), min(_BENT, (last + 1) // 2), max(last - _BENT, 0))
+    return _Meeting(line=line, ways=ways[:, inner], excess=excess, ends=ends)
+
+
+def _settled(points: FloatArray, met: FloatArray, triangles: IntArray, eye: Aperture, gap: float) -> FloatArray:
+    """Lids that have `met` with no triangle turned over nor in the eyeball, as far as that leaves no wider gap."""
+    seen = _seen(points, triangles, eye)
+    for outline in (_OUTLINE, np.inf):  # of the margins what the outline needs stays, or all, where that opens the eye
+        ended = met
+        for _ in range(_SETTLES):  # each may undo a little of the other
+            ended = _clear(points, _unfolded(points, ended, triangles, seen, eye, outline), seen, eye)
+        if _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
+            return ended
+    return _clear(points, met, seen, eye)
 
 
 def slid(points: FloatArray, triangles: IntArray, eye: Aperture, carried: FloatArray) -> FloatArray:
@@ -358,7 +393,7 @@ def _rim(eye: Aperture, polar: FloatArray, side: int) -> FloatArray:
     columns, heights = polar[rows, 0], polar[rows, 2]
     first, last = (np.searchsorted(columns, columns + end) for end in (-_CORNER, _CORNER))
     outer = [heights[a:b].max() for a, b in zip(first, np.maximum(last, first + 1), strict=True)]
-    return np.interp(eye.columns, columns, outer)
+    return np.asarray(np.interp(eye.columns, columns, outer))
 
 
 def _reach(eye: Aperture, side: int) -> tuple[float, float]:
@@ -420,21 +455,31 @@ def _pooled(gaps: FloatArray, eye: Aperture, start: FloatArray, triangles: IntAr
     return np.asarray(maximum_filter1d(gaps, 2 * cells + 1))
 
 
-def _unfolded(points: FloatArray, ended: FloatArray, triangles: IntArray, seen: IntArray, eye: Aperture) -> FloatArray:
-    """`ended` with the motion of points of triangles that turn over made that of those around, margins kept."""
+def _unfolded(
+    points: FloatArray, ended: FloatArray, triangles: IntArray, seen: IntArray, eye: Aperture, kept: float
+) -> FloatArray:
+    """`ended` with the motion of points of triangles that turn over made that of those around.
+
+    :param kept: radians from the hole, up to which points of the margins stay where they meet
+    """
     margin = np.zeros(len(points), bool)
-    margin[eye.near[eye.distance <= 0]] = True
+    polar = eye.polar(points[eye.near])
+    upper, lower = (np.interp(polar[:, 0], eye.columns, row) for row in (eye.upper, eye.lower))
+    outline = np.abs(polar[:, 1] - np.where(eye.side > 0, upper, lower)) < kept
+    wide = (upper - lower > _NARROW * (eye.upper - eye.lower).max()) & (polar[:, 0] > eye.columns[0])
+    margin[eye.near[(eye.distance <= 0) & outline & wide & (polar[:, 0] < eye.columns[-1])]] = True
     pairs = distinct_edges(np.concatenate([triangles[:, :2], triangles[:, 1:], triangles[:, [2, 0]]]))[0]
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     best = delta = ended - points
     fewest = len(seen)
-    for _ in range(_MOST_UNFOLDED):
+    for turn in range(_MOST_UNFOLDED):
         flips = flipped_triangles(points, points + delta, seen)
         if flips.sum() < fewest:
             best, fewest = delta, int(flips.sum())
         marked = np.zeros(len(points), bool)
         marked[seen[flips]] = True
-        marked[pairs[marked[pairs[:, 0]], 1]] = True
+        for _ in range(1 + turn // 8):  # farther around where that does not help
+            marked[pairs[marked[pairs[:, 0]], 1]] = True
         marked &= ~margin
         if not marked.any() or not fewest:
             break
@@ -444,6 +489,12 @@ def _unfolded(points: FloatArray, ended: FloatArray, triangles: IntArray, seen: 
         around = total[marked] / np.bincount(mine[:, 0], minlength=len(points))[marked, None]
         delta = delta.copy()
         delta[marked] += 0.5 * (around - delta[marked])
+        # a triangle that moves as one turns over nowhere
+        together = delta[seen[flips]].mean(axis=1, keepdims=True)
+        rows = seen[flips].ravel()
+        toward = (together - delta[seen[flips]]).reshape(-1, 3)[~margin[rows]]
+        rows = rows[~margin[rows]]
+        delta[rows] += 0.5 * toward
     return points + best
 
 

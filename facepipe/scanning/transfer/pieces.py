@@ -17,13 +17,15 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.balls import Ball, RadialSurface, fit_ball
 from facepipe.geometry.closest_points import closest_places
+from facepipe.geometry.geodesics import graph_distances, surface_graph
 from facepipe.geometry.polygons import components, distinct_edges, point_areas
 from facepipe.scanning.transfer.lids import EYES, Globe, eye_frame
 
-SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, STILL, HELPER = KINDS = (
+KINDS = (
     "skin", "left eyeball", "right eyeball", "upper teeth", "lower teeth", "tongue", "inner mouth", "lashes", "brows",
     "tear line", "growth", "still", "helper",
 )  # fmt: skip
+SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, STILL, HELPER = KINDS
 _BALLS = {"Left": EYE_LEFT, "Right": EYE_RIGHT}
 _WORDS = {  # parts of names, in the order in which they count: an eyelash is no eye, and helpers may be teeth
     LASHES: ("lash", "wimper", "まつげ", "睫"),
@@ -43,8 +45,12 @@ _AROUND, _BEFORE = 1.3, 0.25  # of an eye's width: what may be part of an eye, a
 _LAYER = 1.3  # radii: layers of an eye lie within
 _LONG = 1.6  # times as wide as high: no cornea, but a shell between the lids
 _MOUTH_BOX = np.array([[-46.0, -40.0, -90.0], [46.0, 30.0, 4.0]])  # mm from the mouth's middle
-_TOOTH, _GAP, _BITE = 17.0, 2.5, 14.0  # mm: largest single tooth; between rows; how far the bite is from the template's
-_TALL, _SLACK = 24.0, 4.0  # mm: gums of both rows in one, or the mouth's sheet; how far teeth come out of them
+_TOOTH, _GAP, _BITE = 17.0, 2.5, 18.0  # mm: largest single tooth; between rows; how far the bite is from the template's
+_FEW_TEETH = 4
+_LEANS = np.linspace(-0.6, 0.6, 25)  # slopes of the head's bite against the template's
+_NEAR_BITE = 3.0  # mm: of rows in one piece, whose points leave gaps at crowns and roots too
+_SURE = 4.0  # mm from the bite, from which on points of such a piece surely are of their row
+_TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth's sheet; how far teeth come out of them
 _BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
 _LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
 _SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
@@ -68,6 +74,7 @@ class Inside:
     upper: IntArray
     lower: IntArray
     tongue: IntArray
+    gums: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))  # one piece with the tongue; none where apart
 
     def globe(self, side: str) -> Globe | None:
         """The template's eyeball there, as what lids slide over; None: it has none."""
@@ -107,6 +114,17 @@ class _Sorting:
 
     def set(self, rows: IntArray | BoolArray, kind: str) -> None:
         self.kind[rows] = KINDS.index(kind)
+
+    def free(self) -> list[IntArray]:
+        """Points of each piece of which nothing is known yet."""
+        return list(by_number(self.piece, np.flatnonzero(self.kind < 0)).values())
+
+
+def by_number(numbers: IntArray, rows: IntArray) -> dict[int, IntArray]:
+    """`rows` by their number: one sort, as heads may have hair of thousands of pieces."""
+    order = rows[np.argsort(numbers[rows], kind="stable")]
+    own, starts = np.unique(numbers[order], return_index=True)
+    return dict(zip(own.tolist(), np.split(order, starts[1:]), strict=True)) if len(rows) else {}
 
 
 def pieces_of(
@@ -178,10 +196,10 @@ def named_kind(name: str) -> tuple[int, bool]:
 
     if words[:1] == ["joint"]:  # cubes that mark joints
         return KINDS.index(HELPER), True
+    if all(any(map(has, _WORDS[kind])) for kind in (TONGUE, TEETH_UPPER)):  # several in one
+        return -1, False
     for kind, parts in _WORDS.items():
-        if kind == HELPER and "eye" in joined:
-            break
-        if any(map(has, parts)):
+        if any(map(has, parts)) and not (kind == HELPER and "eye" in joined):
             if kind != TEETH_UPPER:
                 return KINDS.index(kind), True
             rows = [row for row, own in _ROWS.items() if any(map(has, own))]
@@ -193,18 +211,17 @@ def _eyeball(sorting: _Sorting, side: str) -> Globe | None:
     """Marks the pieces of an eyeball, and shells between its lids; None where no ball covers the aperture's middle."""
     middle, axes, width = eye_frame(sorting.landmarks, side)
     local = (sorting.points - middle) @ axes.T / max(width, 1e-9)
-    free = np.flatnonzero(sorting.kind < 0)
-    reach = np.abs(local[free]).max(axis=1)
+    reach = np.abs(local).max(axis=1)
     candidates = [
-        rows for number in np.unique(sorting.piece[free[reach < _AROUND]])
-        if len(rows := free[sorting.piece[free] == number]) >= 4 and np.abs(local[rows]).max() < 2.0 * _AROUND
-    ]  # fmt: skip
+        rows
+        for rows in sorting.free()
+        if len(rows) >= 4 and reach[rows].min() < _AROUND and reach[rows].max() < 2.0 * _AROUND
+    ]
+    faces = by_number(sorting.piece[sorting.triangles[:, 0]], np.arange(len(sorting.triangles)))
     areas = point_areas(sorting.points, sorting.triangles)
     best: tuple[float, Ball, IntArray] | None = None
     for rows in candidates:
-        member = np.zeros(len(sorting.points), bool)
-        member[rows] = True
-        if not _covers(local, sorting.triangles[member[sorting.triangles[:, 0]]]):
+        if not _covers(local, sorting.triangles[faces[int(sorting.piece[rows[0]])]]):
             continue
         try:
             ball = fit_ball(sorting.points[rows], areas[rows] if areas[rows].any() else None)
@@ -252,10 +269,9 @@ def _covers(local: FloatArray, triangles: IntArray) -> bool:
 
 def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: Inside | None) -> tuple[str, ...]:
     """Marks teeth, tongue and what else is in the mouth; what is to be said of it."""
-    local, kind = sorting.local, sorting.kind
+    local = sorting.local
     teeth, tongues, sheets = [], [], []
-    for number in np.unique(sorting.piece[kind < 0]):
-        rows = np.flatnonzero((sorting.piece == number) & (kind < 0))
+    for rows in sorting.free():
         own, low, high = said[rows[0]], local[rows].min(axis=0), local[rows].max(axis=0)
         middle = local[rows].mean(axis=0)
         named = own in map(KINDS.index, (TONGUE, TEETH_UPPER, TEETH_LOWER))
@@ -271,7 +287,7 @@ def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: In
     for i, rows in enumerate(teeth):  # what holds others is gums, or the sheet of the mouth
         holds = (boxes[:, 0] > boxes[i, 0] - _SLACK).all(axis=1) & (boxes[:, 1] < boxes[i, 1] + _SLACK).all(axis=1)
         tall = boxes[i, 1, 1] - boxes[i, 0, 1] > _TALL
-        if said[rows[0]] < 0 and tall and holds.sum() > 2:
+        if said[rows[0]] < 0 and ((tall and holds.sum() > 2) or boxes[i, 1, 1] - boxes[i, 0, 1] > _BAG):
             sheets.append(rows)
     teeth = [rows for rows in teeth if not any(rows is sheet for sheet in sheets)]
     for rows in tongues:
@@ -299,44 +315,77 @@ def _rows(
     sorting: _Sorting, teeth: Sequence[IntArray], said: IntArray, jaw: FloatArray | None, inside: Inside | None
 ) -> None:
     """Sorts teeth into rows: by the jaw's weights, by names, else each piece by the gap between the head's own rows."""
-    lower, slope = KINDS.index(TEETH_LOWER), 0.0
-    bite = 0.0
-    if inside is not None and len(inside.upper) and len(inside.lower):
-        middle, axes = sorting.landmarks[48:68].mean(axis=0), _face_axes(sorting.landmarks)
-        up, low = ((inside.points[rows] - middle) @ axes.T / sorting.scale for rows in (inside.upper, inside.lower))
-        slope = float(np.mean([np.polyfit(one[:, 2], one[:, 1], 1)[0] for one in (up, low)]))
-        bite = float(np.mean([(one[:, 1] - slope * one[:, 2]).mean() for one in (up, low)]))
-    height = sorting.local[:, 1] - slope * sorting.local[:, 2] - bite
-    means = np.array([height[rows].mean() for rows in teeth])
-    whole = np.array([np.ptp(sorting.local[rows, 0]) >= _TOOTH for rows in teeth])
-    threshold = _largest_gap(means[~whole]) if (~whole).sum() >= 4 else 0.0
-    between = threshold  # rows of one piece each lie apart, wherever the template's bite is
-    if whole.sum() > 1 and np.ptp(means[whole]) > 2.0 * _GAP:
-        between = float((means[whole].min() + means[whole].max()) / 2)
-    elif whole.sum() == 1 and whole.all():
-        threshold = between = _largest_gap(height[teeth[0]])
+    lower = KINDS.index(TEETH_LOWER)
+    named = any(said[rows[0]] == lower for rows in teeth)
     weighted = jaw is not None and max(jaw[rows].mean() for rows in teeth) > 0.5
-    for i, rows in enumerate(teeth):
-        row_named = said[rows[0]] == lower or any(said[other[0]] == lower for other in teeth)
+    bite, slope = _bite(sorting, inside)
+    deep = sorting.local[:, 2] - np.mean([sorting.local[rows, 2].mean() for rows in teeth])
+    height = sorting.local[:, 1] - slope * sorting.local[:, 2] - bite
+    whole = np.array([bool(np.ptp(sorting.local[rows, 0]) >= _TOOTH) for rows in teeth], bool)
+    if (~whole).sum() >= _FEW_TEETH:
+        # single teeth: the plane, of those about as steep as the template's, that leaves the largest gap between rows
+        means = np.array(
+            [[height[rows].mean(), deep[rows].mean()] for rows, row in zip(teeth, whole, strict=True) if not row]
+        )
+        leans = [(lean, *_largest_gap(means[:, 0] - lean * means[:, 1])) for lean in _LEANS]
+        lean, threshold, _ = max(leans, key=lambda one: one[2])
+        height = height - lean * deep - threshold
+    arches = np.array([height[rows].mean() for rows, row in zip(teeth, whole, strict=True) if row])
+    between = 0.0  # rows of one piece each lie apart, wherever the template's bite is
+    if len(arches) > 1 and np.ptp(arches) > 2.0 * _GAP:
+        between = float((arches.min() + arches.max()) / 2)
+    elif len(teeth) == 1 and len(arches):
+        # both rows in one: at the template's bite, or halfway, unless they part near there
+        both = height[teeth[0]]
+        between = 0.0 if inside is not None else float(both.min() + both.max()) / 2.0
+        between += _largest_gap(both - between, _NEAR_BITE)[0]
+    for rows, row in zip(teeth, whole, strict=True):
         if weighted and jaw is not None:
             own = jaw[rows] > 0.5
             goes = own if 0.1 < own.mean() < 0.9 else np.full(len(rows), own.mean() > 0.5)
-        elif row_named and said[rows[0]] >= 0:
+        elif named and said[rows[0]] >= 0:
             goes = np.full(len(rows), said[rows[0]] == lower)
-        elif whole.sum() == 1 and whole[i] and _BOTH < (height[rows] < between).mean() < 1.0 - _BOTH:
-            goes = height[rows] < between
+        elif row and len(arches) == 1 and _BOTH < (height[rows] < between).mean() < 1.0 - _BOTH:
+            goes = _parted(sorting, rows, height[rows] - between)
         else:
-            goes = np.full(len(rows), means[i] < (between if whole[i] else threshold))
+            goes = np.full(len(rows), height[rows].mean() < (between if row else 0.0))
         sorting.set(rows[~goes], TEETH_UPPER)
         sorting.set(rows[goes], TEETH_LOWER)
 
 
-def _largest_gap(heights: FloatArray) -> float:
-    """The middle of the largest gap between heights that lies near the template's bite, 0 where there is none."""
+def _bite(sorting: _Sorting, inside: Inside | None) -> tuple[float, float]:
+    """Height above the mouth's middle, and slope from front to back, of the template's bite on the head."""
+    if inside is None or not len(inside.upper) or not len(inside.lower):
+        return 0.0, 0.0
+    middle, axes = sorting.landmarks[48:68].mean(axis=0), _face_axes(sorting.landmarks)
+    both = [(inside.points[rows] - middle) @ axes.T / sorting.scale for rows in (inside.upper, inside.lower)]
+    slope = float(np.mean([np.polyfit(one[:, 2], one[:, 1], 1)[0] for one in both]))
+    return float(np.mean([(one[:, 1] - slope * one[:, 2]).mean() for one in both])), slope
+
+
+def _parted(sorting: _Sorting, rows: IntArray, height: FloatArray) -> BoolArray:
+    """(k,) which points of a piece that holds both rows belong to the lower one.
+
+    By the way along the piece to what surely is of either: tips of upper teeth hang before lower ones.
+    """
+    own = np.full(len(sorting.points), -1)
+    own[rows] = np.arange(len(rows))
+    mine = own[sorting.triangles]
+    mine = mine[(mine >= 0).all(axis=1)]
+    seeds = [np.flatnonzero(height > _SURE), np.flatnonzero(height < -_SURE)]
+    graph = surface_graph(sorting.points[rows], np.pad(mine, ((0, 0), (0, 1)), constant_values=-1))
+    up, down = graph_distances(graph, seeds)
+    return np.asarray(np.where(np.isfinite(up) & np.isfinite(down), down < up, height < 0))
+
+
+def _largest_gap(heights: FloatArray, within: float = _BITE) -> tuple[float, float]:
+    """The middle of the largest gap between heights that lies near 0, 0 where there is none, and how large it is."""
     ordered = np.sort(heights)
     gaps, middles = np.diff(ordered), (ordered[1:] + ordered[:-1]) / 2
-    gaps = np.where(np.abs(middles) < _BITE, gaps, 0.0)
-    return float(middles[gaps.argmax()]) if len(gaps) and gaps.max() > _GAP else 0.0
+    gaps = np.where(np.abs(middles) < within, gaps, 0.0)
+    if not len(gaps) or gaps.max() <= _GAP:
+        return 0.0, 0.0
+    return float(middles[gaps.argmax()]), float(gaps.max())
 
 
 def _around(sorting: _Sorting) -> None:
@@ -344,8 +393,8 @@ def _around(sorting: _Sorting) -> None:
     from scipy.spatial import cKDTree
 
     marks, scale = sorting.landmarks, sorting.scale
-    free = np.unique(sorting.piece[sorting.kind < 0])
-    if not len(free) or not len(sorting.skin):
+    free = sorting.free()
+    if not free or not len(sorting.skin):
         return
     rows = np.flatnonzero(sorting.kind < 0)
     near = rows[np.linalg.norm(sorting.points[rows] - marks.mean(axis=0), axis=1) < 2.0 * _ACROSS * scale]
@@ -356,8 +405,7 @@ def _around(sorting: _Sorting) -> None:
     lids = np.concatenate([marks[part] for part in EYES.values()])
     trees = cKDTree(lids), cKDTree(marks[17:27])
     eyes_apart = float(np.linalg.norm(lids[:6].mean(axis=0) - lids[6:].mean(axis=0))) / scale
-    for number in free:
-        own = rows[sorting.piece[rows] == number]
+    for own in free:
         edge = own[border[own]]
         sewn = len(edge) > 0 and (away[edge] < _SEWN_MM).mean() > _SEWN_SHARE
         wide = np.ptp(sorting.local[own, 0])
