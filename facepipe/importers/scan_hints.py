@@ -17,6 +17,7 @@ from facepipe.scans import ScanHints
 
 _CARRIED = 0.5  # weight of the joints of a head from which they carry a point
 _STRONG = 0.5  # of a shape's largest offset: points that move less say little of where it is
+_ABOVE_JOINT = 0.35  # height of a head above its joint, in distances from hips to head, as in `rig.plausibility`
 _LEFT, _RIGHT, _BOTH = "eyeBlinkLeft", "eyeBlinkRight", "eyeBlink"
 _MOUTH = ("jawOpen", "viseme_aa", "viseme_O", "viseme_E", "mouthFunnel", "mouthClose")  # the first that is there
 # Of the expressions of a VRM, whose shapes may have any name.
@@ -52,7 +53,8 @@ def hints_of(parts: FaceParts) -> ScanHints:
 
 
 def _head_points(parts: FaceParts) -> list[BoolArray] | None:
-    """Of each mesh the points (n,) that the joint of a head and those below it carry; None: no such joint."""
+    """Of each mesh the points (n,) that the joint of a head and those below it carry, or that are near a joint that
+    carries none; None: no such joint."""
     joint = human_joint(parts, "Head")
     if joint is None:
         return None
@@ -65,7 +67,25 @@ def _head_points(parts: FaceParts) -> list[BoolArray] | None:
             found.append(np.zeros(len(mesh.points), bool))
         else:
             found.append((mesh.skin.joint_weights * below[mesh.skin.joint_indices]).sum(axis=1) > _CARRIED)
-    return found
+    return found if any(one.any() for one in found) else _near_head(parts, joint)
+
+
+def _near_head(parts: FaceParts, joint: int) -> list[BoolArray] | None:
+    """Of each mesh the points (n,) where a head is by its joint alone, which carries nothing: by the proportions of
+    bodies, and in an avatar about where it looks from; None without hips to measure a body by."""
+    hips = human_joint(parts, "Hips")
+    if hips is None or hips == joint:
+        return None
+    bind = parts.skeleton.transform @ parts.skeleton.bind_transforms
+    head, spine = bind[joint, :3, 3], bind[joint, :3, 3] - bind[hips, :3, 3]
+    middle, reach = head + _ABOVE_JOINT / 2 * spine, _ABOVE_JOINT * float(np.linalg.norm(spine))
+    offset: object = parts.vrm
+    for key in ("VRMC_vrm", "lookAt", "offsetFromHeadBone"):
+        offset = offset.get(key) if isinstance(offset, Mapping) else None
+    if isinstance(offset, list) and len(offset) == 3:  # metres, in the head's own axes
+        middle = head + bind[joint, :3, :3] @ np.asarray(offset, np.float64) / parts.meters_per_unit
+    worlds = [transformed(np.asarray(mesh.points, np.float64), mesh.transform) for mesh in parts.meshes]
+    return [np.linalg.norm(world - middle, axis=1) < reach for world in worlds]
 
 
 def _features(parts: FaceParts) -> tuple[FloatArray | None, bool]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from vrm_files import BONES, Person
 
 from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
+from facepipe.importers.scan_hints import hints_of
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.parts import Blendshape, FaceParts, Mesh, Skeleton, Skin
 from facepipe.stage import save_parts
@@ -105,6 +107,24 @@ def face(*, names: tuple[str, str] = ("eyeBlinkLeft", "eyeBlinkRight"), mirror: 
     bind = np.tile(np.eye(4), (3, 1, 1))
     skeleton = Skeleton(joints=("hips", "hips/spine", "hips/head"), bind_transforms=bind, rest_transforms=bind)
     return FaceParts(meshes=tuple(meshes), skeleton=skeleton, meters_per_unit=0.1)
+
+
+def test_a_head_is_near_a_joint_that_carries_nothing(tmp_path: Path) -> None:
+    """As of meshes that hang on other joints: by where the joint is above the hips, or the avatar looks from."""
+    parts = face()
+    skins = [replace(mesh.skin, joint_indices=mesh.skin.joint_indices * 0) for mesh in parts.meshes if mesh.skin]
+    meshes = tuple(replace(mesh, skin=skin) for mesh, skin in zip(parts.meshes, skins, strict=True))
+    bind = parts.skeleton.bind_transforms.copy()
+    bind[:, 1, 3] = [-5.0, -3.0, -0.9]
+    held = replace(parts, meshes=meshes, skeleton=replace(parts.skeleton, bind_transforms=bind))
+    head = hints_of(held).head
+    assert head is not None
+    piece = hints_of(held).piece
+    assert head[piece == 0].mean() > 0.9
+    assert head[piece == 1].mean() < 0.1
+    looks = {"VRMC_vrm": {"lookAt": {"offsetFromHeadBone": [0.0, 10.0, 0.0]}}}
+    assert hints_of(replace(held, vrm=looks)).head is None  # far above it all
+    assert hints_of(replace(held, skeleton=replace(held.skeleton, joints=("a", "a/b", "a/head")))).head is None
 
 
 def hints(parts: FaceParts, folder: Path) -> Any:

@@ -24,7 +24,10 @@ from facepipe.pictures.surface_view import draw_surface
 from facepipe.scanning.landmarks import FindScanLandmarks
 from facepipe.scanning.landmarks.find import _Search
 from facepipe.scanning.landmarks.search import (
+    LEFT_EYE,
     MIRRORED,
+    MOUTH,
+    RIGHT_EYE,
     FaceFrame,
     _apart,
     _crop_matrix,
@@ -34,7 +37,7 @@ from facepipe.scanning.landmarks.search import (
     face_frame,
 )
 from facepipe.scanning.landmarks.where import looked_at
-from facepipe.scans import Scan
+from facepipe.scans import Scan, ScanHints
 
 RNG = np.random.default_rng
 
@@ -181,6 +184,7 @@ def test_a_part_of_a_surface_has_the_points_of_its_triangles() -> None:
     part = part_look(look, np.array([False, True, True, True]))
     assert part.triangles.tolist() == [[0, 2, 1]]
     for found, whole in ((part.points, look.points), (part.normals, look.normals), (part.colors, look.colors)):
+        assert whole is not None
         np.testing.assert_array_equal(found, whole[1:])
 
 
@@ -297,6 +301,92 @@ def test_the_search_ends_where_there_is_no_face_and_says_what_was_tried(level: f
     assert 0 < network.maps < 5 * 1000  # sizes of crops, and the budget
     assert network.crops <= 24 * search.counted.pictures
     assert network.crops == 0 or level > 0
+
+
+def with_balls(scan: Scan, *balls: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Scan:
+    """The scan and balls, pieces of their own, with colours that number points, as masks do."""
+    points, triangles, piece = [scan.points], [scan.triangles], [np.zeros(len(scan.triangles), np.int32)]
+    for number, (middle, radii) in enumerate(balls, 1):
+        own, corners = ball(20)
+        triangles.append((corners + sum(len(one) for one in points)).astype(np.int32))
+        points.append(own * radii + np.array(middle))
+        piece.append(np.full(len(corners), number, np.int32))
+    every = np.concatenate(points)
+    names = ("head", *(f"ball{number}" for number in range(len(balls))))
+    return replace(
+        scan,
+        points=every,
+        triangles=np.concatenate(triangles),
+        colors=RNG(0).random(every.shape),
+        hints=ScanHints(pieces=names, piece=np.concatenate(piece)),
+    )
+
+
+def bald(seed: int) -> tuple[Scan, np.ndarray]:
+    """A head with holes, in mm, upright, and its landmarks (68, 3)."""
+    truth = Actor(seed).neutral
+    scan = simulate(truth, seed, ScanOptions(moved=False))
+    return Scan(name="actor", points=scan.points, triangles=scan.triangles), truth[ict().landmarks]
+
+
+TORSO = ((0.0, -800.0, -60.0), (200.0, 620.0, 120.0))
+ARMS = ((0.0, -380.0, -60.0), (800.0, 60.0, 60.0))
+
+
+@pytest.mark.needs_torch
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [False, True])
+def test_the_face_of_a_body_is_found_by_whatever_hides_it(hidden: bool) -> None:
+    """Lying on its back, in metres, far from the origin, its colours are no colours; in a helmet, or without."""
+    head, landmarks = bald(3)
+    balls = (TORSO, ARMS, ((0.0, 20.0, -20.0), (210.0, 210.0, 210.0)))[: 3 if hidden else 2]
+    scan = with_balls(head, *balls)
+    lying, far = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([300.0, -200.0, 5.0])
+    found = finder()(replace(scan, points=0.001 * scan.points @ lying.T + far))
+    errors = np.linalg.norm((found.landmarks.points - far) @ lying * 1000.0 - landmarks, axis=1)
+    assert found.report.found >= 60
+    assert np.nanmean(errors[17:]) < 4.0  # mm
+    assert np.nanmean(errors[:17]) < 7.5
+    assert found.report.seen == "clay"
+    assert found.report.pieces == ("head",)
+    assert found.carrier[: len(head.points)].mean() > 0.9
+    assert not found.carrier[len(head.points) :].any()
+    assert not found.report.unit_known
+    assert found.report.mm_per_unit == pytest.approx(1000.0, rel=0.15)
+
+
+@pytest.mark.needs_torch
+@pytest.mark.slow
+def test_of_two_heads_neither_is_taken_until_one_is_named() -> None:
+    (first, landmarks), (second, _) = bald(1), bald(2)
+    triangles = np.concatenate([first.triangles, second.triangles + len(first.points)]).astype(np.int32)
+    piece = np.repeat([0, 1], [len(first.triangles), len(second.triangles)]).astype(np.int32)
+    scan = Scan(
+        name="crowd",
+        points=np.concatenate([first.points, second.points + np.array([400.0, 0, 0])]),
+        triangles=triangles,
+        hints=ScanHints(pieces=("Anna", "Bert"), piece=piece),
+    )
+    with pytest.raises(FitError, match=r"^crowd: 2 faces, at \(.*\) and \(.*\): expected one, .* --component$"):
+        finder()(scan)
+    found = replace(finder(), component="Anna")(scan)
+    assert np.nanmean(np.linalg.norm(found.landmarks.points - landmarks, axis=1)[17:]) < 4.0
+    assert found.report.pieces == ("Anna",)
+
+
+@pytest.mark.needs_torch
+@pytest.mark.slow
+def test_shapes_of_eyes_and_mouth_spare_the_search_and_tell_a_mirrored_mesh() -> None:
+    head, landmarks = bald(1)
+    features = np.stack([landmarks[part].mean(axis=0) for part in (LEFT_EYE, RIGHT_EYE, MOUTH)])
+    scan = replace(with_balls(head, TORSO), colors=None)
+    hints = replace(scan.hints, features=features, swapped=True, mm_per_unit=10.0)
+    found = finder()(replace(scan, hints=hints))
+    assert found.report.searched == 0
+    assert np.nanmean(np.linalg.norm(found.landmarks.points - landmarks, axis=1)[17:]) < 4.0
+    said = " ".join(found.report.warnings)
+    assert "mirrored" in said
+    assert "its unit may be wrong" in said  # ten times as large as it can be
 
 
 @pytest.mark.needs_torch

@@ -47,7 +47,9 @@ _SURE, _STEADY = 0.9, 0.02  # presence, and spread as a share of a side, of a fa
 _CERTAIN = 0.9  # score of a face beyond which no other is looked for
 _PLAIN = 0.95  # and beyond which it is not looked at in clay and with other pieces, too
 _AS_GOOD = 0.02  # of a score: colours that are this little worse than clay show more, as do all pieces than some
-_BUDGET = 1000  # pictures drawn and maps made of them before the search ends: 40 s of processor time
+# Pictures drawn and maps made of them before the search ends, 40 s of processor time, and what a closer look counts.
+_BUDGET, _CLOSE_LOOK = 1000, 8
+_WRONG_SIZE = 2.5  # a face this many times as large or as small as usual has another unit than its file says
 _UNSURE = 0.03  # of a side: spread of a landmark that is left out
 _OFF = 0.03  # of a side: a landmark farther from the surface than this lies where the scan has ended
 _END = 0.05  # of a side: the outline of a scan that ends nearer than this to the jaw's landmarks passes for the jaw
@@ -168,6 +170,10 @@ class FindScanLandmarks:
         lines = [f"{int(one.sum())} landmarks left out: {why}" for why, one in left_out.items() if one.any()]
         if scan.hints.swapped:
             lines.append("mirrored: shapes that are called left move the right of this face, and the other way round")
+        by_size = _EYES_MM / float(np.linalg.norm(eyes))
+        if own is not None and not 1 / _WRONG_SIZE < own / by_size < _WRONG_SIZE:
+            large = f"the eyes are {own * float(np.linalg.norm(eyes)):.3g} mm apart in the file's unit"
+            lines.append(f"{large}, expected about {_EYES_MM:g}: its unit may be wrong")
         report = ScanLandmarksReport(
             found=int(kept.sum()),
             presence=seen.presence,
@@ -176,12 +182,13 @@ class FindScanLandmarks:
             place=shown.place,
             seen="clay" if near.colors is None else "colours",
             pieces=tuple(scan.hints.pieces[one] for one in np.unique(scan.hints.piece[used]) if one >= 0),
-            mm_per_unit=_EYES_MM / float(np.linalg.norm(eyes)) if own is None else own,
+            mm_per_unit=by_size if own is None else own,
             unit_known=own is not None,
             warnings=(*surface.warnings, *lines),
         )
         landmarks = ScanLandmarks(points=places, sigma_mm=sigmas)
-        return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=shown.look, carrier=carrier, report=report)
+        look = shown.look if shown.among.all() else part_look(shown.look, shown.among)
+        return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, carrier=carrier, report=report)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,6 +278,8 @@ class _Search:
         found: list[Shown] = []
         for frame in frames:
             for own in self.looks if look is None else (look,):
+                if self.counted.work > _BUDGET:
+                    return found
                 maybe = Shown(score=0.0, frame=frame, place=place, look=own, among=among)
                 once = self._moved(maybe, _SURE / 2, np.inf)
                 twice = None if once is None else self._moved(once, _SURE, _STEADY)
@@ -373,6 +382,7 @@ class _Search:
         near = self.near(shown)
         if not len(near.triangles):
             return None
+        self.counted.work += _CLOSE_LOOK
         seen = look_again(near, shown.frame, _FIRST, self.draw, self.network)
         spread, moved = float(np.median(seen.spread)), face_frame(seen.landmarks)
         if moved is None or seen.presence < surer or spread > steadier:

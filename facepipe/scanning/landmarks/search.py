@@ -32,7 +32,7 @@ _PEAK, _MOST_PEAKS = 0.1, 24  # presence in a map that is worth a crop, and crop
 _MAYBE = 0.5  # presence of such a crop
 # Of other faces: what a picture of all must hold beside the first (radius, in its sides), pixels of a side, and at most
 # of a picture, and how many are looked at.
-_ROOM, _FACE_PIXELS, _MOST_PIXELS, _MOST_OTHERS = 1.3, 96, 1100, 6
+_ROOM, _FACE_PIXELS, _MOST_PIXELS, _MOST_OTHERS = 1.0, 96, 1100, 6
 _APART = 0.25  # of a side: of two candidates nearer than this, the surer one
 _LOOKED_AT = 208  # pixels a side
 _MARGIN = 1.6  # sides of a crop that a picture shows

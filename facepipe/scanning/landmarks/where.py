@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -141,30 +142,29 @@ class Place:
     turns: int  # of crops in a picture's plane
 
 
-def places(surface: Surface) -> Iterator[list[Place]]:
+def places(surface: Surface) -> Iterator[Iterable[Place]]:
     """What is searched, the likeliest first; of each list one place follows another until a face is found."""
     every = without_small(surface, np.ones(len(surface.component), bool))
     wholes = [("all of it", every, every)]
     if surface.head is not None:
         wholes.insert(0, ("what the joint of the head carries", without_small(surface, surface.head), every))
         yield [_around(surface, *wholes[0])]
-    whole, tops = [_around(surface, *wholes[-1])], list(_tops(surface, every, "all of it", np.eye(3)))
-    is_head = _like_a_head(surface.look.points[every])
-    yield whole if is_head else [*tops, *whole]
+    is_head, tops = _like_a_head(surface.look.points[every]), _tops(surface, every, "all of it", np.eye(3))
+    whole = [_around(surface, *wholes[-1])]
+    yield whole if is_head else chain(tops, whole)
     pieces = []
     for name, points, _ in wholes:
         pieces += [(f"a piece of {name}", points & one, one) for one in _pieces(surface, points)]
     for piece in pieces:
         own = [_around(surface, *piece)]
-        if not _like_a_head(surface.look.points[piece[1]]):
-            own = [*_tops(surface, piece[1], piece[0], np.eye(3)), *own]
-        yield own
+        is_body = not _like_a_head(surface.look.points[piece[1]])
+        yield chain(_tops(surface, piece[1], piece[0], np.eye(3)), own) if is_body else own
     for name, points, among in (*wholes, *pieces):
         at = surface.look.points[points]
         if not _like_a_head(at):
             axes = _own_axes(surface, points)
             if np.abs(axes).max(axis=1).min() < _UPRIGHT:
-                yield list(_tops(surface, points, name, axes))
+                yield _tops(surface, points, name, axes)
         around = sphere_views(*_ball(at))
         yield [
             Place(name=name, points=points, among=among, views=around[start : start + _AT_ONCE], turns=6)
