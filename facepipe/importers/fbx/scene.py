@@ -58,7 +58,7 @@ _KEY = _table(shape="<u4", unused="<u4", weight="<f8")
 _TABLES = {
     "nodes": _table(
         **_spans("name", "materials"),
-        **dict.fromkeys(("parent", "mesh", "bone", "unused"), "<u4"),
+        **dict.fromkeys(("parent", "mesh", "bone", "hidden"), "<u4"),
         **dict.fromkeys(("world", "geometry"), _MATRIX),
     ),
     "meshes": _table(**_spans("name", *_LISTS, "color_indices", "skins", "channels"), color_sets="<u4", unused="<u4"),
@@ -72,7 +72,11 @@ _TABLES = {
         **dict.fromkeys(("wrap_u", "wrap_v", "layers", "unused"), "<u4"),
         uv_to_texture=_MATRIX,
     ),
-    "stacks": _table(**_spans("name", "times", "held", "moved"), begin="<f8", end="<f8"),
+    "stacks": _table(
+        **_spans("name", "times", "held", "moved", "other_owner", "other_property"),
+        **dict.fromkeys(("others", "unused"), "<u4"),
+        **dict.fromkeys(("begin", "end"), "<f8"),
+    ),
     "warnings": _table(text=_SPAN, count="<u4", kind="<u4"),
 }
 _SCENE = _table(
