@@ -30,7 +30,8 @@ LARGEST = 1e18  # number that is believed: products of two still fit in float32,
 _MODULE = Path(__file__).with_name("ufbx.wasm")
 _MOST_FILE_BYTES = 1 << 29
 _FREE_BYTES, _PER_BYTE = 1 << 28, 64  # of memory: arrays are deflated, and texts are twice as long as their numbers
-_FREE_STEPS, _STEPS_PER_BYTE = 1 << 31, 1 << 14
+_FREE_STEPS, _STEPS_PER_BYTE = 1 << 31, 1 << 14  # 200 a byte are usual; a node takes 10,000 a sample of a clip
+_MOST_STEPS = 1 << 38  # some 40 seconds
 _MOST_NOTES = 8  # kinds of what ufbx has mended
 _LONGEST_NAME = 4096
 
@@ -209,7 +210,7 @@ def open_scene(source: Path, *, strict: bool = False) -> Scene:
         raise InputError(source.name, error.what) from None
     most = min(MOST_BYTES, _FREE_BYTES + _PER_BYTE * len(data))
     budget = Budget(2 * most)
-    steps = _FREE_STEPS + _STEPS_PER_BYTE * len(data)
+    steps = min(_FREE_STEPS + _STEPS_PER_BYTE * len(data), _MOST_STEPS)
     try:
         run = Run(program, "memory", most_bytes=most, most_steps=steps)
         run.call("_initialize")
