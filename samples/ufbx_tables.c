@@ -17,7 +17,7 @@ typedef struct { uint32_t at, count; } span;
 
 typedef struct {
 	span name, materials;
-	uint32_t parent, mesh, bone, unused;
+	uint32_t parent, mesh, bone, hidden;
 	double world[12], geometry[12];
 } node_row;
 
@@ -43,7 +43,11 @@ typedef struct {
 	double uv_to_texture[12];
 } texture_row;
 
-typedef struct { span name, times, held, moved; double begin, end; } stack_row;
+typedef struct {
+	span name, times, held, moved, other_owner, other_property;
+	uint32_t others, unused;
+	double begin, end;
+} stack_row;
 typedef struct { span text; uint32_t count, kind; } warning_row;
 
 typedef struct {
@@ -86,6 +90,7 @@ static void read_nodes(void)
 		rows[i].parent = ID(node->parent);
 		rows[i].mesh = ID(node->mesh);
 		rows[i].bone = node->bone != NULL;
+		rows[i].hidden = !node->visible;
 		IDS(rows[i].materials, node->materials);
 		matrix(rows[i].world, &node->node_to_world);
 		matrix(rows[i].geometry, &node->geometry_to_node);
@@ -205,6 +210,18 @@ static void read_materials(void)
 	}
 }
 
+// Whether a curve changes what is no place of a node and no weight of a channel.
+static int is_other(const ufbx_anim_prop *prop)
+{
+	ufbx_element_type type = prop->element->type;
+	int known = type == UFBX_ELEMENT_BLEND_CHANNEL || (type == UFBX_ELEMENT_NODE && !strncmp(prop->prop_name.data, "Lcl ", 4));
+	for (size_t c = 0; c < 3 && !known; c++) {
+		ufbx_anim_curve *curve = prop->anim_value->curves[c];
+		if (curve && curve->min_value < curve->max_value) return 1;
+	}
+	return 0;
+}
+
 // Times of all keys, and of those that the next one follows at once rather than by a line or a curve; whether any moves
 // each node, then each channel.
 static void read_stacks(void)
@@ -222,6 +239,10 @@ static void read_stacks(void)
 			for (size_t l = 0; l < stack->layers.count; l++) {
 				ufbx_anim_prop_list props = stack->layers.data[l]->anim_props;
 				for (size_t p = 0; p < props.count; p++) {
+					if (fill && is_other(&props.data[p]) && !rows[i].others++) {
+						rows[i].other_owner = text(props.data[p].element->name);
+						rows[i].other_property = text(props.data[p].prop_name);
+					}
 					ufbx_element_type type = props.data[p].element->type;
 					if (type != UFBX_ELEMENT_NODE && type != UFBX_ELEMENT_BLEND_CHANNEL) continue;
 					moved[(type == UFBX_ELEMENT_NODE ? 0 : scene->nodes.count) + props.data[p].element->typed_id] = 1;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from fbx_files import Scene, layer, layers, node, property70
 from fbx_posed import posed
 from gltf_builder import PNG
 from import_data import shared
+from PIL import Image
 
 import facepipe
 from facepipe.cli import main
@@ -404,6 +406,23 @@ def test_weights_at_rest_are_a_pose_and_idle_stacks_are_named(tmp_path: Path) ->
     assert poses["default"].times is None
 
 
+def test_what_moves_and_has_no_place_on_a_face_is_named(tmp_path: Path) -> None:
+    scene = Scene()
+    head, _ = plain(scene, Visibility=(1.0,))
+    take = scene.stack("Take", 0, 1)
+    scene.curves(take, head, "Visibility", {"d|Visibility": [(0, 1), (1, 0)]})
+    scene.curves(take, head, "Lcl Translation", {"d|X": [(0, 0), (1, 2)]})
+    what = "1 animated properties are neither places nor weights of shapes, like Visibility of Head: left out"
+    assert read(scene, tmp_path).warnings == (f"face.fbx -> Take: {what}",)
+
+
+def test_hidden_meshes_are_shown_and_named(tmp_path: Path) -> None:
+    scene = Scene()
+    plain(scene)
+    scene.objects[0].children[1].children.append(property70("Visibility", "Visibility", 0.0))
+    assert read(scene, tmp_path).warnings == ("face.fbx -> Head: is hidden in the file: shown here",)
+
+
 def test_segment_scale_is_compensated_as_maya_does(tmp_path: Path) -> None:
     """InheritType 2 (Rrs): a joint's scale does not reach those below it; their places follow it."""
     scene = Scene()
@@ -440,6 +459,37 @@ def test_materials_have_colours_and_embedded_pictures(tmp_path: Path) -> None:
     assert material.opacity == pytest.approx(0.75)
     assert material.normal is not None
     assert (material.normal.texture.name, material.normal.texture.data) == ("n.png", PNG)
+
+
+@pytest.mark.parametrize(
+    ("mode", "channel", "scale"), [("RGBA", "a", 1.0), ("LA", "a", 1.0), ("RGB", "r", -1.0), ("L", "r", -1.0)]
+)
+def test_a_picture_of_transparency_is_its_alpha_or_its_inverse(
+    mode: str, channel: str, scale: float, tmp_path: Path
+) -> None:
+    scene = Scene()
+    head, _ = plain(scene)
+    data = io.BytesIO()
+    Image.new(mode, (2, 2)).save(data, "PNG")
+    scene.texture(scene.material(head, "lash"), "TransparentColor", "maps\\lash", content=data.getvalue())
+    (material,) = read(scene, tmp_path).parts.materials
+    assert (material.opacity.channels, material.opacity.scale[0]) == (channel, scale)
+    assert material.opacity.bias[0] == (0.0 if scale > 0 else 1.0)
+    assert material.opacity.texture.name == "lash.png"
+
+
+def test_pictures_of_other_kinds_become_png(tmp_path: Path) -> None:
+    scene = Scene()
+    head, _ = plain(scene)
+    skin = scene.material(head, "skin")
+    for slot, kind in (("DiffuseColor", "TGA"), ("EmissiveColor", "BMP")):
+        data = io.BytesIO()
+        Image.new("RGB", (2, 2), (255, 0, 0)).save(data, kind)
+        scene.texture(skin, slot, f"a.{kind.lower()}", content=data.getvalue())
+    (material,) = read(scene, tmp_path).parts.materials
+    pictures = [material.diffuse_color.texture, material.emissive_color.texture]
+    assert [Image.open(io.BytesIO(one.data)).getpixel((0, 0)) for one in pictures] == [(255, 0, 0)] * 2
+    assert {one.name for one in pictures} == {"a.png", "a_2.png"}
 
 
 def test_pictures_beside_the_file_are_read_and_others_named(tmp_path: Path) -> None:

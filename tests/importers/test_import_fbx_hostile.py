@@ -82,11 +82,16 @@ def test_arrays_that_unfold_to_gigabytes_are_refused(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e30])
-@pytest.mark.parametrize("place", ["Vertices", "Weights", "Transform", "UV", "Normals"])
+@pytest.mark.parametrize(
+    ("place", "number"),
+    [
+        (place, number)
+        for place in ("Vertices", "Weights", "Transform", "UV", "Normals")
+        for number in (np.nan, np.inf, -np.inf, 1e30)
+        if (place, number) != ("Weights", 1e30)  # a weight of any size is normalised
+    ],
+)
 def test_numbers_that_are_none_are_refused(place: str, number: float, tmp_path: Path) -> None:
-    if place == "Weights" and number == 1e30:
-        pytest.skip("a weight of any size is normalised")
     nodes = full_scene().nodes()
 
     def change(listed: Any) -> None:

@@ -137,6 +137,8 @@ class _Assembly:
         if mesh is None:
             scene.warn(name, "its mesh has no polygons: left out")
             return None
+        if scene.tables["nodes"][node]["hidden"]:
+            scene.warn(name, "is hidden in the file: shown here")
         shapes = read_shapes(scene, name, number, self.shapes, len(mesh.points))
         own = scene.text(scene.tables["meshes"][number]["name"])
         mesh = replace(mesh, blendshapes=shapes, label=name, data_label=own)

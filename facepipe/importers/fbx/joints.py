@@ -81,16 +81,16 @@ class Joints:
 
     skeleton: Skeleton
     nodes: list[int]  # of each joint
+    of_node: Mapping[int, int]
     parents: list[int]  # joint above, -1 for a root
     shrink: FloatArray  # (4, 4) joint -> node
     skins: Mapping[int, BoundSkin]  # slots by cluster of the skin
 
     def holding(self, nodes: Nodes, node: int) -> int | None:
         """The joint that a node follows: its own, or the nearest above."""
-        of_node = {one: joint for joint, one in enumerate(self.nodes)}
-        while node >= 0 and node not in of_node:
+        while node >= 0 and node not in self.of_node:
             node = nodes.parents[node]
-        return of_node.get(node)
+        return self.of_node.get(node)
 
 
 def read_joints(scene: Scene, nodes: Nodes, bones: set[int], turn: FloatArray) -> Joints:
@@ -140,7 +140,7 @@ def read_joints(scene: Scene, nodes: Nodes, bones: set[int], turn: FloatArray) -
     given = [nodes.names[node] for node in order]
     skeleton = bindings.skeleton(given, parents, rest, lambda size: scene.budget.spend(size, scene.error))
     numbered = {skin: bindings.numbered(one, len(order)) for skin, one in bound.items()}
-    return Joints(skeleton, order, parents, shrink, numbered)
+    return Joints(skeleton, order, of_node, parents, shrink, numbered)
 
 
 def _shown_skins(scene: Scene, nodes: Nodes) -> list[int]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import io
 import ntpath
 from collections.abc import Hashable, Iterable
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
@@ -119,7 +119,7 @@ class _Textures:
                 kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
                 if (damage := damage_of(data)) is not None:
                     raise InputError(scene.where, f"texture {ascii(called)[1:-1][:80]} {damage}")
-                stem = file_name(ntpath.basename(called), "texture").rpartition(".")[0] or "texture"
+                stem = PurePosixPath(file_name(ntpath.basename(called), "texture")).stem
                 taken = {one.name.rpartition(".")[0] for one in self._known.values()}
                 free = next(one for n in range(1, 10**6) if (one := f"{stem}_{n}" if n > 1 else stem) not in taken)
                 self._known[data] = Texture(
@@ -167,6 +167,12 @@ def _as_png(data: bytes, called: str) -> bytes:
         alpha = "A" in image.mode or "transparency" in image.info
         image.convert("RGBA" if alpha else "RGB").save(written, "PNG")
     return written.getvalue()
+
+
+def _has_alpha(data: bytes) -> bool:
+    """Whether a picture is a PNG with alpha: of grey or colours, or of a palette's entries."""
+    png = data.startswith(b"\x89PNG")
+    return png and (data[25:26] in (b"\4", b"\6") or b"tRNS" in data[: data.find(b"IDAT")])
 
 
 def _uv_transform(row: Rows) -> UvTransform:
@@ -218,16 +224,13 @@ def _material(scene: Scene, textures: _Textures, name: str, row: Rows) -> Materi
 
 
 def _opacity(scene: Scene, textures: _Textures, maps: dict[str, Rows], label: str) -> float | TextureInput:
-    """Of PBR materials their own; else 1 less the transparency. The colour's picture brings its alpha."""
-    base = int(maps["base_color"]["texture"])
+    """Of PBR materials their own; else 1 less the transparency. Of a picture with alpha it is that."""
     for key, sign in (("opacity", 1.0), ("transparency_color", -1.0), ("transparency_factor", -1.0)):
-        texture = int(maps[key]["texture"])
-        if texture == NONE:
-            continue
-        found = textures.input(texture, "r", (sign,) * 4, (0.0 if sign > 0 else 1.0,) * 4)
-        colored = textures.input(base, "a", (1.0,) * 4)
+        found = textures.input(int(maps[key]["texture"]), "r", (sign,) * 4, (0.0 if sign > 0 else 1.0,) * 4)
+        if found is not None and _has_alpha(found.texture.data):
+            return replace(found, channels="a", scale=(1.0,) * 4, bias=(0.0,) * 4)
         if found is not None:
-            return colored if colored is not None and colored.texture is found.texture else found
+            return found
     if maps["opacity"]["given"]:
         return _unit(float(np.mean(maps["opacity"]["value"][:3])))
     if not maps["transparency_color"]["given"]:

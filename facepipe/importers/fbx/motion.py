@@ -61,6 +61,11 @@ def read_tracks(scene: Scene, turn: FloatArray, nodes: Collection[int], fps: flo
     """
     tracks, chosen = [], sorted(nodes)
     for number, stack in enumerate(scene.tables["stacks"]):
+        name = scene.text(stack["name"])
+        if stack["others"]:
+            like = f"{scene.text(stack['other_property'])} of {scene.text(stack['other_owner'])}"
+            what = f"{stack['others']} animated properties are neither places nor weights of shapes"
+            scene.warn(name, f"{what}, like {ascii(like)[1:-1][:80]}: left out")
         times = _times(scene, stack, frame_rate(scene, fps), only_frames=fps is not None)
         if not len(times):
             continue
@@ -72,7 +77,7 @@ def read_tracks(scene: Scene, turn: FloatArray, nodes: Collection[int], fps: flo
             weights.append(some)
         moved = scene.array(stack["moved"], "u1")[len(scene.tables["nodes"]) :] > 0
         by_node = {node: worlds[:, place] for place, node in enumerate(chosen)}
-        tracks.append(Track(scene.text(stack["name"]), times, by_node, np.concatenate(weights), moved))
+        tracks.append(Track(name, times, by_node, np.concatenate(weights), moved))
     return tracks
 
 

@@ -30,7 +30,8 @@ LARGEST = 1e18  # number that is believed: products of two still fit in float32,
 _MODULE = Path(__file__).with_name("ufbx.wasm")
 _MOST_FILE_BYTES = 1 << 29
 _FREE_BYTES, _PER_BYTE = 1 << 28, 64  # of memory: arrays are deflated, and texts are twice as long as their numbers
-_FREE_STEPS, _STEPS_PER_BYTE = 1 << 31, 1 << 14
+_FREE_STEPS, _STEPS_PER_BYTE = 1 << 31, 1 << 14  # 200 a byte are usual; a node takes 10,000 a sample of a clip
+_MOST_STEPS = 1 << 38  # some 40 seconds
 _MOST_NOTES = 8  # kinds of what ufbx has mended
 _LONGEST_NAME = 4096
 
@@ -58,7 +59,7 @@ _KEY = _table(shape="<u4", unused="<u4", weight="<f8")
 _TABLES = {
     "nodes": _table(
         **_spans("name", "materials"),
-        **dict.fromkeys(("parent", "mesh", "bone", "unused"), "<u4"),
+        **dict.fromkeys(("parent", "mesh", "bone", "hidden"), "<u4"),
         **dict.fromkeys(("world", "geometry"), _MATRIX),
     ),
     "meshes": _table(**_spans("name", *_LISTS, "color_indices", "skins", "channels"), color_sets="<u4", unused="<u4"),
@@ -72,7 +73,11 @@ _TABLES = {
         **dict.fromkeys(("wrap_u", "wrap_v", "layers", "unused"), "<u4"),
         uv_to_texture=_MATRIX,
     ),
-    "stacks": _table(**_spans("name", "times", "held", "moved"), begin="<f8", end="<f8"),
+    "stacks": _table(
+        **_spans("name", "times", "held", "moved", "other_owner", "other_property"),
+        **dict.fromkeys(("others", "unused"), "<u4"),
+        **dict.fromkeys(("begin", "end"), "<f8"),
+    ),
     "warnings": _table(text=_SPAN, count="<u4", kind="<u4"),
 }
 _SCENE = _table(
@@ -205,7 +210,7 @@ def open_scene(source: Path, *, strict: bool = False) -> Scene:
         raise InputError(source.name, error.what) from None
     most = min(MOST_BYTES, _FREE_BYTES + _PER_BYTE * len(data))
     budget = Budget(2 * most)
-    steps = _FREE_STEPS + _STEPS_PER_BYTE * len(data)
+    steps = min(_FREE_STEPS + _STEPS_PER_BYTE * len(data), _MOST_STEPS)
     try:
         run = Run(program, "memory", most_bytes=most, most_steps=steps)
         run.call("_initialize")
