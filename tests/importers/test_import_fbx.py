@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fbx_files import Scene, layer, layers, node, property70
+from fbx_files import Scene, full_scene, layer, layers, node, property70
 from fbx_posed import posed
 from gltf_builder import PNG
 from import_data import shared
@@ -516,12 +516,17 @@ def test_pictures_beside_the_file_are_read_and_others_named(tmp_path: Path) -> N
 
 def test_commands_that_take_a_face_take_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "face.fbx"
-    source.write_bytes(skinned().binary())
+    source.write_bytes(full_scene().binary())
     assert main(["import", "fbx", str(source), str(tmp_path / "face.usda")]) == 0
     assert main(["export", str(source), "-o", str(tmp_path / "face.glb")]) == 0
     face = facepipe.read(source)
-    assert face.skeleton.joints == ("neck", "neck/jaw")
-    assert np.allclose(face.evaluate(), facepipe.open(tmp_path / "face.usda").evaluate(), atol=1e-6)
+    assert face.skeleton.joints == ("head", "head/jaw")
+    assert np.allclose(face.evaluate(), facepipe.open(tmp_path / "face.usda").evaluate(), atol=1e-4)
+    words = ["animate", str(tmp_path / "face.usda"), str(source), "-o", str(tmp_path / "moved.usda"), "--name", "again"]
+    assert main(words) == 0
+    again = next(one for one in facepipe.open(tmp_path / "moved.usda").animations if one.name == "again")
+    weights = dict(zip(again.shapes, again.shape_weights[-1], strict=True))
+    assert weights == pytest.approx({"jawOpen": 1.0, "smile": 0.3})  # which stands at 30 %
     capsys.readouterr()
 
 

@@ -407,7 +407,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], str]] = {
     "no such joint": (text("jawOpen,HeadYaw\n0,1\n1,1\n"), ("--head", "haed"), "did you mean 'Head'?"),
     "out of range": (text("jawOpen\n0\n1\n"), ("--resample", "0"), "option resample"),
     "bad name": (text("jawOpen\n0\n1\n"), ("--name", "a b"), "no name of a prim, expected one like a_b"),
-    "suffix": (text("jawOpen\n0\n1\n", "a.fbx"), (), "suffix '.fbx', expected one of .csv .tsv .txt .json"),
+    "suffix": (text("jawOpen\n0\n1\n", "a.bvh"), (), "suffix '.bvh', expected one of .csv .tsv .txt .json"),
     "json": (text("{", "a.json"), (), "is not JSON"),
     "json form": (text('{"clip": 1}', "a.json"), (), "another form, expected a list of frames"),
     "json value": (text('[{"jawOpen": "x"}]', "a.json"), (), "frame 1 -> jawOpen: x, expected a number"),

@@ -271,7 +271,7 @@ def test_triangles_of_another_topology_are_refused(tmp_path: Path) -> None:
         ("frown=1", "target frown=1: no such blendshape"),
         ("none.usda", "none.usda: no such file"),
         ("none.obj", "none.obj"),
-        ("t.fbx", "target t.fbx: no such blendshape, animation or file type"),
+        ("t.dae", "target t.dae: no such blendshape, animation or file type"),
         ("rig.usda:talk", "rig.usda: no animation 'talk'; there are none"),
         ("part.obj:Nose", "part.obj:Nose: the face has no mesh 'Nose', expected one of Head, Teeth"),
     ],
