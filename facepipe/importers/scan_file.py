@@ -220,7 +220,7 @@ def _textured(
     for number, bound in enumerate(mesh.material_faces, 1):
         shown[bound.faces] = number
     for number, name in enumerate(names):
-        color = materials[name].diffuse_color if name in materials else None
+        color = materials[name].diffuse_color if name is not None and name in materials else None
         uv_set = None
         if isinstance(color, TextureInput) and mesh.colors is None:
             uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)

@@ -162,7 +162,7 @@ class ScanAction(StageAction[J]):
     @classmethod
     def replaced(cls, arguments: Any) -> Collection[str]:
         """Landmarks of a scan in whose place the line gives another."""
-        of_scans = (("scan", "landmarks"), ("neutral_scan", "neutral_landmarks"))
+        of_scans = (("scan", "landmarks"), ("head", "landmarks"), ("neutral_scan", "neutral_landmarks"))
         return [landmarks for scan, landmarks in of_scans if getattr(arguments, scan, None)]
 
     def draw(self, face: Face, report: J, path: Path) -> None:

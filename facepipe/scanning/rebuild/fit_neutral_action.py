@@ -23,6 +23,7 @@ examples:
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,10 +46,9 @@ _STEPS = 18  # of a fit, at most
 _TEXTURES = 2048  # texels a side of the built-in head's
 
 
-@action("fit-neutral", "fit a face to the scan of a person")
 @dataclass(frozen=True, kw_only=True)
-class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
-    """The action."""
+class FittingAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
+    """Base of the actions that put a template's neutral on what is scanned or modelled."""
 
     template: Path | None = source(
         "face stage with multipie68 landmarks (default the built-in head)",
@@ -56,7 +56,6 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         flag="--template",
         metavar="FACE",
     )
-    scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos")
     database: Path | None = source(
         "faces of the template's topology: .fpdb (default for the built-in head its own modes)",
         default=None,
@@ -79,31 +78,25 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "landmarks", landmark_file(self.scan, self.landmarks))
+        object.__setattr__(self, "landmarks", landmark_file(self.fitted, self.landmarks))
 
-    def check(self) -> None:
-        from facepipe.scanning.photos import photo_files
+    @property
+    @abstractmethod
+    def fitted(self) -> Path:
+        """The file or folder that the template is fitted to."""
 
-        super().check()
-        if Path(self.scan).is_dir():
-            photo_files(Path(self.scan))
-            if self.unit != "auto":
-                raise InputError(f"--unit {self.unit}", "photos have no unit, expected auto")
+    @abstractmethod
+    def given(self, job: Job) -> Given:
+        """The scan, its landmarks, what is to be said of both, and what photos of it say."""
 
     @property
     def base(self) -> Path:
-        return Path(self.scan if self.template is None else self.template)
+        return self.fitted if self.template is None else Path(self.template)
 
     def made_base(self) -> FaceParts | None:
         from facepipe.heads import make
 
         return make(textures=_TEXTURES) if self.template is None else None
-
-    def given(self, job: Job) -> Given:
-        """The scan, its landmarks, what is to be said of both, and what photos of it say."""
-        from facepipe.scanning.rebuild.scan_fit import scan_input
-
-        return scan_input(Path(self.scan), self.landmarks, job.watch)
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.scanning.database import QualityLimits, load_database, misses
@@ -127,7 +120,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         body = template.body(database.topology)
         scan, landmarks, notes, photos = self.given(job)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
-        with named(self.scan), job.watch("fit", _STEPS) as bar:
+        with named(self.fitted), job.watch("fit", _STEPS) as bar:
             fit, place, report = fit_neutral(body, scan, landmarks, database, self, lambda step: bar.update(), weights)
         points = fit.points
         if self.close_lips and are_sealed(landmarks):
@@ -137,7 +130,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
         author = AuthorNeutral() if own is None else AuthorNeutral(settled=partial(settled, parts))
         authored = author(face, points, recipe=recipe)
-        with named(self.scan), job.watch("textures", 1) as bar:
+        with named(self.fitted), job.watch("textures", 1) as bar:
             baked = author_scan_textures(face, parts, shown, scan, place, self)
             bar.update()
         neutral = points if report.weights else None
@@ -173,3 +166,29 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
             *([("skin in the scan's colours", f"{100 * report.colored:.1f} %")] if report.textures else []),
         ]
         return "\n".join([str(out), table(rows)])
+
+
+@action("fit-neutral", "fit a face to the scan of a person")
+@dataclass(frozen=True, kw_only=True)
+class FitNeutralAction(FittingAction):
+    """The action."""
+
+    scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos")
+
+    @property
+    def fitted(self) -> Path:
+        return Path(self.scan)
+
+    def check(self) -> None:
+        from facepipe.scanning.photos import photo_files
+
+        super().check()
+        if Path(self.scan).is_dir():
+            photo_files(Path(self.scan))
+            if self.unit != "auto":
+                raise InputError(f"--unit {self.unit}", "photos have no unit, expected auto")
+
+    def given(self, job: Job) -> Given:
+        from facepipe.scanning.rebuild.scan_fit import scan_input
+
+        return scan_input(Path(self.scan), self.landmarks, job.watch)

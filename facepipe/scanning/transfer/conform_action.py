@@ -27,7 +27,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.declare import option, source
 from facepipe.kinds import Job, action
-from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
+from facepipe.scanning.rebuild.fit_neutral_action import FittingAction
 
 if TYPE_CHECKING:
     from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
@@ -37,24 +37,23 @@ if TYPE_CHECKING:
 
 @action("conform", "give a template the shape of a head of others")
 @dataclass(frozen=True, kw_only=True)
-class ConformAction(FitNeutralAction):
+class ConformAction(FittingAction):
     """The action."""
 
-    scan: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD", metavar="HEAD")
+    head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     without: tuple[str, ...] = option(
         (), "meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...", parse=tuple, words=True
     )
 
-    def check(self) -> None:
-        super().check()
-        if Path(self.scan).is_dir():
-            raise InputError(self.scan, "is a folder, expected the file of a head (facepipe fit-neutral takes photos)")
+    @property
+    def fitted(self) -> Path:
+        return Path(self.head)
 
     def given(self, job: Job) -> Given:
         from facepipe.scanning.transfer.head import Head, read_head
 
         with job.watch("landmarks", 1) as bar:
-            head = Head.of(read_head(Path(self.scan)), str(self.scan), self.landmarks)
+            head = Head.of(read_head(Path(self.head)), str(self.head), self.landmarks)
             bar.update()
         return head.scan_of_skin(), head.landmarks, head.notes, {}
 

@@ -1,8 +1,8 @@
-"""Give a head of others the shapes of a template, on its own mesh: ARKit's 52, visemes, regions, landmarks, sliders.
+"""Give a head of others the shapes of a template, on its own mesh: ARKit's 52, with visemes, regions and landmarks.
 
-HEAD is a head or a body of any tool (.glb .gltf .vrm .fbx .obj .ply .stl .off or USD), of any pose and unit. All that it has
-stays as it is: points, texture coordinates, materials, joints, skin, clips, shapes. A shape that it has by any usual
-name is not made again, unless --replace is given. Without --from the shapes are those of the built-in head.
+HEAD is a head or a body of any tool (.glb .gltf .vrm .fbx .obj .ply .stl .off or USD), of any pose and unit. All that
+it has stays as it is: points, texture coordinates, materials, joints, skin, clips, shapes. A shape that it has by any
+usual name is not made again, unless --replace is given. Without --from the shapes are those of the built-in head.
 
 Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
 else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
@@ -18,9 +18,10 @@ examples:
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.declare import beside, option, source
@@ -58,6 +59,11 @@ class TransferAction(StageAction["TransferReport"]):
     replace: bool = option(False, "make shapes, regions, landmarks and sliders that the head has anew")
     picture: Path | None = beside("draw all shapes from the front and from between front and side", ".png", "draw")
 
+    @classmethod
+    def replaced(cls, arguments: Any) -> Collection[str]:
+        """Landmarks of a head in whose place the line gives another."""
+        return ["landmarks"] if getattr(arguments, "head", None) else []
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "landmarks", landmark_file(self.head, self.landmarks))
 
@@ -71,9 +77,9 @@ class TransferAction(StageAction["TransferReport"]):
 
         if not self.cut_mouth:
             return unitless(Path(self.head))
-        from facepipe.scanning.transfer.cut import cut_mouth
+        from facepipe.scanning.transfer.cut import with_cut_mouth
 
-        return cut_mouth(Head.of(read_head(Path(self.head)), str(self.head), self.landmarks))
+        return with_cut_mouth(Head.of(read_head(Path(self.head)), str(self.head), self.landmarks))
 
     def author(self, face: Face, job: Job) -> TransferReport:
         from facepipe.scanning.transfer.transfer import transfer
