@@ -53,6 +53,7 @@ _SURE = 4.0  # mm from the bite, from which on points of such a piece surely are
 _TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth's sheet; how far teeth come out of them
 _BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
 _LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
+_NEAR_MM = 40.0  # from a point of the skin
 _SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
 
 
@@ -401,6 +402,10 @@ def _around(sorting: _Sorting) -> None:
     rows = np.flatnonzero(sorting.kind < 0)
     near = rows[np.linalg.norm(sorting.points[rows] - marks.mean(axis=0), axis=1) < 2.0 * _ACROSS * scale]
     away = np.full(len(sorting.points), 1e9)
+    # what no point of the skin is near, its triangles aren't either: hair may be most of a head
+    bound = _NEAR_MM * scale
+    tree = cKDTree(sorting.points[np.unique(sorting.skin)])
+    near = near[np.isfinite(tree.query(sorting.points[near], distance_upper_bound=bound)[0])]
     if len(near):
         away[near] = closest_places(sorting.points[near], sorting.points, sorting.skin).distances / scale
     border = _border(sorting.triangles, len(sorting.points))
