@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances, surface_graph
+from facepipe.geometry.polygons import triangle_normals
 from facepipe.scanning.transfer.companions import Companions, Motion
 from facepipe.scanning.transfer.lids import (
     EYES,
@@ -19,6 +21,7 @@ from facepipe.scanning.transfer.lids import (
     LidFigures,
     aperture_of,
     closed,
+    eye_frame,
     lid_figures,
     slid,
 )
@@ -67,10 +70,11 @@ def finished(
     """The shapes of a whole head.
 
     :param points: (n, 3) mm, cuts sewn, in the template's place
-    :param triangles: (t, 3) oriented outward
-    :param landmarks: (68, 3) mm
+    :param triangles: (t, 3)
+    :param landmarks: (68, 3) mm, none unknown: those of the fitted template stand in
     :param carried: name -> (n, 3) mm as the skin moves by the template; ARKit's names
     """
+    triangles = outward(points, triangles, landmarks)
     is_skin = np.zeros(len(points), bool)
     is_skin[pieces.of(SKIN)] = True
     skin = triangles[is_skin[triangles].all(axis=1)]
@@ -113,6 +117,14 @@ def finished(
     notes = [*pieces.notes, *([SEALED] if sealed else [])]
     notes += [f"{side.lower()} eye: {eye}" for side, eye in found.items() if eye in (SHUT, PAINT, NO_SOCKET)]
     return Finished(deltas=deltas, inbetweens=inbetweens, verdicts=tuple(verdicts), notes=tuple(notes))
+
+
+def outward(points: FloatArray, triangles: IntArray, landmarks: FloatArray) -> IntArray:
+    """(t, 3) triangles turned so that those at the landmarks of nose and mouth face forwards, as most do."""
+    nearest = closest_places(landmarks[27:60], points, triangles).triangles
+    forwards = eye_frame(landmarks, "Left")[1][2] + eye_frame(landmarks, "Right")[1][2]
+    facing = triangle_normals(points, triangles[nearest]) @ forwards
+    return triangles if facing.sum() >= 0 else triangles[:, ::-1]
 
 
 def _aperture(

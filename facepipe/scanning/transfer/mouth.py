@@ -13,6 +13,7 @@ from facepipe.geometry.polygons import components, distinct_edges
 
 _UPPER, _LOWER = [60, 61, 62, 63, 64], [60, 67, 66, 65, 64]  # landmarks of the lips' inner rims, corner to corner
 _DRAWN_MM = 1.5  # from the line of the lips, at which an edge counts as twice as long
+_ACROSS = 3.0  # times as long counts an edge straight across
 _NEAR = 0.75  # of the mouth's width from its middle: points that the cut may go by
 _STRAIGHT = 1.6  # times the mouth's width, up to which a way is along the lips
 
@@ -58,8 +59,7 @@ def cut_mouth(
         raise FitError(
             "--cut-mouth", "the line of the lips does not part the skin in two, expected a mouth between lips"
         )
-    up = landmarks[_UPPER[1:4]].mean(axis=0) - landmarks[_LOWER[1:4]].mean(axis=0)
-    up = up if np.linalg.norm(up) > 1e-6 else landmarks[27] - landmarks[8]
+    up = _upward(landmarks)
     heights = [
         (points[indices[np.isin(face, faces[part == one]) & ~inner[indices]]] @ up).mean() for one in np.unique(part)
     ]
@@ -70,6 +70,12 @@ def cut_mouth(
     return Cut(
         source=np.append(np.arange(count), line[1:-1]), indices=np.where(moved, new[indices], indices), line=line
     )
+
+
+def _upward(landmarks: FloatArray) -> FloatArray:
+    """(3,) the unit direction from the lower lip to the upper one, by their outer rims: inner ones may touch."""
+    up = landmarks[50:53].mean(axis=0) - landmarks[56:59].mean(axis=0)
+    return np.asarray(up / max(float(np.linalg.norm(up)), 1e-12))
 
 
 def _lip_line(points: FloatArray, pairs: IntArray, landmarks: FloatArray) -> IntArray:
@@ -87,7 +93,9 @@ def _lip_line(points: FloatArray, pairs: IntArray, landmarks: FloatArray) -> Int
         raise FitError("--cut-mouth", "no edges at the mouth, expected a mesh of lips")
     lengths = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
     away = cKDTree(dense).query(points[pairs].mean(axis=1))[0]
-    costs = np.maximum(lengths, 1e-9 * width) * (1.0 + (away / _DRAWN_MM) ** 2)
+    # edges across, between lips that touch, are short: without a price on them the cut would go to and fro
+    across = np.abs((points[pairs[:, 1]] - points[pairs[:, 0]]) @ _upward(landmarks)) / np.maximum(lengths, 1e-12)
+    costs = np.maximum(lengths, 1e-9 * width) * (1.0 + (away / _DRAWN_MM) ** 2 + _ACROSS * across)
     ends = [
         int(used[np.linalg.norm(points[used] - end, axis=1).argmin()])
         for used in [np.unique(pairs)]

@@ -53,6 +53,7 @@ _SURE = 4.0  # mm from the bite, from which on points of such a piece surely are
 _TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth's sheet; how far teeth come out of them
 _BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
 _LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
+_NEAR_MM = 40.0  # from a point of the skin
 _SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
 
 
@@ -115,9 +116,12 @@ class _Sorting:
     def set(self, rows: IntArray | BoolArray, kind: str) -> None:
         self.kind[rows] = KINDS.index(kind)
 
-    def free(self) -> list[IntArray]:
-        """Points of each piece of which nothing is known yet."""
-        return list(by_number(self.piece, np.flatnonzero(self.kind < 0)).values())
+    def free(self, near: BoolArray) -> list[IntArray]:
+        """Points of each piece of which nothing is known yet, and some points are `near` (n,)."""
+        open_points = self.kind < 0
+        wanted = np.zeros(int(self.piece.max(initial=0)) + 1, bool)
+        wanted[self.piece[open_points & near]] = True
+        return list(by_number(self.piece, np.flatnonzero(open_points & wanted[self.piece])).values())
 
 
 def by_number(numbers: IntArray, rows: IntArray) -> dict[int, IntArray]:
@@ -213,9 +217,7 @@ def _eyeball(sorting: _Sorting, side: str) -> Globe | None:
     local = (sorting.points - middle) @ axes.T / max(width, 1e-9)
     reach = np.abs(local).max(axis=1)
     candidates = [
-        rows
-        for rows in sorting.free()
-        if len(rows) >= 4 and reach[rows].min() < _AROUND and reach[rows].max() < 2.0 * _AROUND
+        rows for rows in sorting.free(reach < _AROUND) if len(rows) >= 4 and reach[rows].max() < 2.0 * _AROUND
     ]
     faces = by_number(sorting.piece[sorting.triangles[:, 0]], np.arange(len(sorting.triangles)))
     areas = point_areas(sorting.points, sorting.triangles)
@@ -271,7 +273,9 @@ def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: In
     """Marks teeth, tongue and what else is in the mouth; what is to be said of it."""
     local = sorting.local
     teeth, tongues, sheets = [], [], []
-    for rows in sorting.free():
+    inner = ((local > _MOUTH_BOX[0]) & (local < _MOUTH_BOX[1])).all(axis=1)
+    inner |= np.isin(said, [KINDS.index(kind) for kind in (TONGUE, TEETH_UPPER, TEETH_LOWER)])
+    for rows in sorting.free(inner):
         own, low, high = said[rows[0]], local[rows].min(axis=0), local[rows].max(axis=0)
         middle = local[rows].mean(axis=0)
         named = own in map(KINDS.index, (TONGUE, TEETH_UPPER, TEETH_LOWER))
@@ -393,26 +397,38 @@ def _around(sorting: _Sorting) -> None:
     from scipy.spatial import cKDTree
 
     marks, scale = sorting.landmarks, sorting.scale
-    free = sorting.free()
-    if not free or not len(sorting.skin):
+    if not (sorting.kind < 0).any() or not len(sorting.skin):
         return
     rows = np.flatnonzero(sorting.kind < 0)
     near = rows[np.linalg.norm(sorting.points[rows] - marks.mean(axis=0), axis=1) < 2.0 * _ACROSS * scale]
     away = np.full(len(sorting.points), 1e9)
+    # what no point of the skin is near, its triangles aren't either: hair may be most of a head
+    bound = _NEAR_MM * scale
+    tree = cKDTree(sorting.points[np.unique(sorting.skin)])
+    near = near[np.isfinite(tree.query(sorting.points[near], distance_upper_bound=bound)[0])]
     if len(near):
         away[near] = closest_places(sorting.points[near], sorting.points, sorting.skin).distances / scale
     border = _border(sorting.triangles, len(sorting.points))
     lids = np.concatenate([marks[part] for part in EYES.values()])
-    trees = cKDTree(lids), cKDTree(marks[17:27])
+    to_lids, to_brows = np.full((2, len(sorting.points)), 1e9)
+    for distances, at in ((to_lids, lids), (to_brows, marks[17:27])):
+        distances[near] = cKDTree(at).query(sorting.points[near])[0] / scale
     eyes_apart = float(np.linalg.norm(lids[:6].mean(axis=0) - lids[6:].mean(axis=0))) / scale
-    for own in free:
+    for own in sorting.free(away < _GROWTH_MM):
         edge = own[border[own]]
         sewn = len(edge) > 0 and (away[edge] < _SEWN_MM).mean() > _SEWN_SHARE
         wide = np.ptp(sorting.local[own, 0])
-        to_lids, to_brows = (tree.query(sorting.points[own])[0] / scale for tree in trees)
-        if np.percentile(to_lids, 90) < 1.6 * _LASH_MM and np.median(to_lids) < _LASH_MM and away[own].min() < 2.0:
+        if (
+            np.percentile(to_lids[own], 90) < 1.6 * _LASH_MM
+            and np.median(to_lids[own]) < _LASH_MM
+            and away[own].min() < 2.0
+        ):
             sorting.set(own, LASHES)
-        elif np.median(to_brows) < _LASH_MM and np.percentile(away[own], 90) < _ON_SKIN_MM and wide < 2.2 * eyes_apart:
+        elif (
+            np.median(to_brows[own]) < _LASH_MM
+            and np.percentile(away[own], 90) < _ON_SKIN_MM
+            and wide < 2.2 * eyes_apart
+        ):
             sorting.set(own, BROWS)
         elif sewn or (np.percentile(away[own], 90) < _GROWTH_MM and sorting.local[own, 1].mean() < 15.0):
             sorting.set(own, GROWTH)
