@@ -391,6 +391,24 @@ def test_shapes_of_eyes_and_mouth_spare_the_search_and_tell_a_mirrored_mesh() ->
 
 @pytest.mark.needs_torch
 @pytest.mark.slow
+def test_a_face_that_is_painted_on_an_egg_is_said_to_be_painted() -> None:
+    head = read_scan(shared("scans/LeePerrySmith.glb"))
+    high = float(np.ptp(head.points[:, 1]))
+    middle = (head.points.min(axis=0) + head.points.max(axis=0)) / 2
+    front = Pinhole.around(middle, np.eye(3), 0.6 * high, 300, distance=30.0)
+    picture, _ = draw_surface(surface_look(head.points, head.triangles, None), front)
+    own, triangles = ball(150)
+    points = own * np.array([0.36, 0.5, 0.4]) * high + middle
+    column, row = np.clip(front.project(points)[0].astype(int), 0, 299).T
+    paint = np.where(own[:, 2:] > 0, picture[row, column] ** 2.2, 0.3)
+    found = finder()(Scan(name="egg", points=points, triangles=triangles, colors=paint))
+    assert found.report.painted
+    assert found.report.seen == "colours"
+    assert any("painted" in line for line in found.report.warnings)
+
+
+@pytest.mark.needs_torch
+@pytest.mark.slow
 def test_what_shows_no_face_is_reported() -> None:
     scan = read_scan(shared("scans/LeePerrySmith.glb"))
     back = scan.triangles[(scan.points[scan.triangles][:, :, 2] < 0).all(axis=1)]
@@ -408,9 +426,24 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytes
     report = json.loads(done(capsys, *words, "--json", quiet=False))
     assert report["found"] == read_scan_landmarks(out).known.sum() == 68
     assert read_scan_landmarks(out).sigma_mm.tolist() == [3.5] * 17 + [1.5] * 10 + [0.8] * 41
+    assert (report["place"], report["seen"], report["pieces"]) == ("all of it", "clay", ["LeePerrySmith"])
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     assert ((pixels[..., 0] > 200) & (pixels[..., 1] < 80)).sum() > 68 * 20  # its red dots
     assert exit_code(*words) == 2  # it exists now
+
+
+@pytest.mark.needs_torch
+@pytest.mark.slow
+def test_a_file_without_unit_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    head, _ = bald(1)
+    rows = [f"v {x:.6g} {y:.6g} {z:.6g}" for x, y, z in head.points / 25.4]
+    rows += ["o head", *(f"f {a} {b} {c}" for a, b, c in head.triangles + 1)]
+    (tmp_path / "head.obj").write_text("\n".join(rows))
+    words = ["scan-landmarks", str(tmp_path / "head.obj"), "-o", str(tmp_path / "x.json")]
+    refused = failed(capsys, *words, "--component", "body", folder=tmp_path)
+    assert "no component 'body', expected the name of one: head" in refused
+    assert exit_code(*words, "--component", "head") in (0, 1)
+    assert "the file has no unit: by the size of the face one of 2" in capsys.readouterr().out
 
 
 def test_bad_lines_are_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

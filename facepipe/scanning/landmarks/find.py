@@ -47,6 +47,8 @@ _SURE, _STEADY = 0.9, 0.02  # presence, and spread as a share of a side, of a fa
 _CERTAIN = 0.9  # score of a face beyond which no other is looked for
 _PLAIN = 0.95  # and beyond which it is not looked at in clay and with other pieces, too
 _AS_GOOD = 0.02  # of a score: colours that are this little worse than clay show more, as do all pieces than some
+_DRAWN = 0.5  # score in clay below which a face that colours show is painted on
+_KINDS = {"what": "the head's joint", "all": "all of it", "the end": "ends of a body", "a piece": "pieces"}
 # Pictures drawn and maps made of them before the search ends, 40 s of processor time, and what a closer look counts.
 _BUDGET, _CLOSE_LOOK = 1000, 8
 _WRONG_SIZE = 2.5  # a face this many times as large or as small as usual has another unit than its file says
@@ -96,6 +98,7 @@ class ScanLandmarksReport(Report):
     searched: int  # pictures in which the face was searched
     place: str = ""  # where it was found
     seen: str = "clay"  # or colours: how the surface was shown
+    painted: bool = False  # colours alone show the face, the surface has none
     pieces: tuple[str, ...] = ()  # meshes, objects or groups that carry the face
     mm_per_unit: float = 0.0  # of the file; where it has no unit, as the face has a usual size
     unit_known: bool = True  # whether the file has a unit
@@ -170,6 +173,9 @@ class FindScanLandmarks:
         lines = [f"{int(one.sum())} landmarks left out: {why}" for why, one in left_out.items() if one.any()]
         if scan.hints.swapped:
             lines.append("mirrored: shapes that are called left move the right of this face, and the other way round")
+        painted = near.colors is not None and search.is_painted(shown)
+        if painted:
+            lines.append("the face is painted: in clay none is seen there")
         by_size = _EYES_MM / float(np.linalg.norm(eyes))
         if own is not None and not 1 / _WRONG_SIZE < own / by_size < _WRONG_SIZE:
             large = f"the eyes are {own * float(np.linalg.norm(eyes)):.3g} mm apart in the file's unit"
@@ -181,6 +187,7 @@ class FindScanLandmarks:
             searched=search.counted.pictures,
             place=shown.place,
             seen="clay" if near.colors is None else "colours",
+            painted=painted,
             pieces=tuple(scan.hints.pieces[one] for one in np.unique(scan.hints.piece[used]) if one >= 0),
             mm_per_unit=by_size if own is None else own,
             unit_known=own is not None,
@@ -206,7 +213,7 @@ class Shown:
 class _Counted:
     pictures: int = 0
     work: int = 0  # pictures and maps
-    places: int = 0
+    places: list[str] = field(default_factory=list)  # names of those that were searched
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,17 +257,17 @@ class _Search:
                     if judged and judged[-1].score > _CERTAIN:
                         return self._best_shown(judged[-1])
                 else:
-                    self.counted.places += 1
+                    self.counted.places.append(place.name)
             if judged:
                 return self._best_shown(max(judged, key=lambda one: one.score))
         raise FitError(self.scan.name, self._refusal())
 
     def _refusal(self) -> str:
-        shown = "colours and clay" if len(self.looks) > 1 else "clay"
-        tried = f"{self.counted.pictures} pictures in {shown} of {self.counted.places} places: "
-        tried += "the head's joint, " if self.surface.head is not None else ""
-        what = f"no face found on it in {tried}all of it, ends of a body, pieces"
-        return f"{what}; expected one to be seen from outside: give landmarks in a file"
+        shown, names = "colours and clay" if len(self.looks) > 1 else "clay", self.counted.places
+        tried = [kind for start, kind in _KINDS.items() if any(name.startswith(start) for name in names)]
+        seen = f"{self.counted.pictures} pictures in {shown} of {len(names)} places ({', '.join(tried)})"
+        what = f"no face found on it in {seen}, expected one to be seen from outside"
+        return f"{what}: give landmarks in a file"
 
     def _in_place(self, place: Place, look: Look) -> list[Shown]:
         """Faces of one place, the last one certain if any is."""
@@ -311,6 +318,11 @@ class _Search:
                 if one.score > _CERTAIN and apart > _ANOTHER:
                     found.append(one.frame)
         return [one.middle for one in found[1:]]
+
+    def is_painted(self, shown: Shown) -> bool:
+        """Whether the surface without colours shows no face there."""
+        clay = self._moved(replace(shown, look=self.looks[-1]), 0.0, np.inf)
+        return clay is None or clay.score < _DRAWN
 
     def near(self, shown: Shown, *, fine: bool = False) -> Look:
         """The surface around the face, small holes closed, no finer than pictures show.

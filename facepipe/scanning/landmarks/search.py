@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.coarse_surface import Look
+from facepipe.geometry.coarse_surface import Look, part_look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 
 RIGHT_EYE, LEFT_EYE, MOUTH = slice(36, 42), slice(42, 48), slice(48, 68)
@@ -31,7 +31,7 @@ _BEYOND = 1 / 3  # of a crop's side: how far crops reach over the picture's edge
 _PEAK, _MOST_PEAKS = 0.1, 24  # presence in a map that is worth a crop, and crops of a picture
 _MAYBE = 0.5  # presence of such a crop
 # Of other faces: what a picture of all must hold beside the first (radius, in its sides), pixels of a side, and at most
-# of a picture, and how many are looked at.
+# of a picture of what is near, and how many are looked at.
 _ROOM, _FACE_PIXELS, _MOST_PIXELS, _MOST_OTHERS = 1.0, 96, 1100, 6
 _APART = 0.25  # of a side: of two candidates nearer than this, the surer one
 _LOOKED_AT = 208  # pixels a side
@@ -154,8 +154,12 @@ def other_faces(look: Look, frame: FaceFrame, draw: Draw, network: Network) -> l
     radius = float(np.linalg.norm(look.points - middle, axis=1).max())
     if radius < _ROOM * frame.side:
         return []
+    reach = _MOST_PIXELS / (2 * _FACE_PIXELS) * frame.side
+    if radius > reach:  # of a scene: what is near the face
+        look = part_look(look, np.linalg.norm(look.points - frame.middle, axis=1) < reach)
+        middle, radius = frame.middle, reach
     share = frame.side / (2 * radius)
-    pixels = 2 * int(np.clip(_FACE_PIXELS / share, _SEARCHED, _MOST_PIXELS) / 2)
+    pixels = 2 * int(max(_FACE_PIXELS / share, _SEARCHED) / 2)
     x, y, z = frame.axes
     found = []
     for backward in (z, x, -x, -z):
