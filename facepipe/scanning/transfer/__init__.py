@@ -6,7 +6,8 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.scanning.transfer.carry import Carried, Carrier, carried
-    from facepipe.scanning.transfer.fit import HeadFit, HeadMesh, fit_head
+    from facepipe.scanning.transfer.fit import HeadFit, fit_head
+    from facepipe.scanning.transfer.mesh import HeadMesh
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -20,11 +19,11 @@ from facepipe.geometry.factor import factorise
 from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas
 from facepipe.scanning.rebuild.template import Template
-from facepipe.scanning.transfer.fit import HeadFit, HeadMesh
-from facepipe.scanning.transfer.places import places_on
+from facepipe.scanning.transfer.fit import HeadFit
+from facepipe.scanning.transfer.mesh import HeadMesh
+from facepipe.scanning.transfer.places import REACH_MM, nearest_places, places_on
 from facepipe.scanning.transfer.sides import sides_on
 
-_REACH_MM = 4.0  # points farther from the template than that are not on it: hair, clothes, another inner mouth
 _FADE_MM = 60.0  # over which motion dies out on the head's mesh, away from the template
 
 
@@ -67,11 +66,10 @@ class Carrier:
         self._neutral = template.points[template.rows]
         self._transfer = Transfer(rows, template.triangles, np.zeros(len(rows), bool))
         self._rows = rows
-        whole = partial(places_on, rows, template.triangles, points=head.points, normals=head.normals)
-        nearest = whole(labels=np.zeros(len(rows), np.int64), sides=np.zeros(len(head.points), np.int64))
-        labels, self.sides = sides_on(template, rows, head, nearest, _REACH_MM)
-        self.places = whole(labels=labels, sides=self.sides)
-        self.reached = self.places.distances <= _REACH_MM
+        nearest = nearest_places(rows, template.triangles, head)
+        labels, self.sides = sides_on(template, rows, head, nearest, REACH_MM)
+        self.places = places_on(rows, template.triangles, head, labels, self.sides)
+        self.reached = self.places.distances <= REACH_MM
         self._fill = Fill(head, self.reached)
 
     def carry(self, delta: FloatArray) -> FloatArray:

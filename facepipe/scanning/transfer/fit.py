@@ -1,71 +1,33 @@
-"""A head's own mesh, and the template on it: identity modes, a smooth residual, and the rims of eyes and mouth."""
+"""The template on a head: identity modes, a smooth residual, and the rims of the head's own eyes and mouth."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import InputError
-from facepipe.geometry.geodesics import surface_graph
-from facepipe.geometry.polygons import components, edges, point_normals, welded_points
+from facepipe.geometry.registration import View, register_together
 from facepipe.geometry.similarity import Similarity
 from facepipe.scanning.database import FaceDatabase
 from facepipe.scanning.rebuild.declared import FitNeutralOptions
-from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport, fit_neutral
+from facepipe.scanning.rebuild.fit_neutral import (
+    FitNeutralReport,
+    fit_neutral,
+    found_neutral,
+    identity_surface,
+    landmark_anchors,
+)
+from facepipe.scanning.rebuild.scan_fit import scan_target
 from facepipe.scanning.rebuild.template import Template
+from facepipe.scanning.transfer.mesh import HeadMesh
+from facepipe.scanning.transfer.places import REACH_MM, nearest_places
+from facepipe.scanning.transfer.rims import rim_anchors
+from facepipe.scanning.transfer.sides import sides_on
 from facepipe.scans import Scan, ScanLandmarks
 
-_SAME = 1e-6  # border points nearer than this share of the head's size are one
 _USUAL = FitNeutralOptions()
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeadMesh:
-    """The mesh of a head in millimetres, and what connects its points.
-
-    Points that lie on one another at borders are sewn, so that seams of UVs cut nothing: each of `points` stands for
-    all of them.
-    """
-
-    points: FloatArray  # (s, 3) sewn
-    triangles: IntArray  # (t, 3) of these, each with three points
-    group: IntArray  # (m,) sewn point of every point of the head
-
-    @classmethod
-    def of(cls, points: FloatArray, triangles: IntArray) -> HeadMesh:
-        """Points (m, 3), millimetres, and triangles (t, 3).
-
-        :raises InputError: no triangle
-        """
-        if not len(triangles):
-            raise InputError("head", "no triangles, expected a surface to put shapes on")
-        pairs, uses = edges(np.full(len(triangles), 3), triangles.ravel())
-        border = np.zeros(len(points), bool)
-        border[pairs[uses == 1].ravel()] = True
-        group = welded_points(points, border, _SAME * float(np.ptp(points[triangles.ravel()], axis=0).max()))
-        first = np.unique(group, return_index=True)[1]
-        sewn = group[triangles]
-        return cls(points=points[first], triangles=sewn[(sewn != sewn[:, [1, 2, 0]]).all(axis=1)], group=group)
-
-    @cached_property
-    def normals(self) -> FloatArray:
-        """(s, 3)."""
-        return point_normals(self.points, self.triangles)
-
-    @cached_property
-    def graph(self) -> Any:
-        """(s, s) lengths along the surface."""
-        return surface_graph(self.points, np.pad(self.triangles, ((0, 0), (0, 1)), constant_values=-1))
-
-    @cached_property
-    def component(self) -> IntArray:
-        """(s,) number of the connected piece of each."""
-        return components(len(self.points), np.concatenate([self.triangles[:, :2], self.triangles[:, 1:]]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +38,7 @@ class HeadFit:
     place: Similarity  # from the head's coordinates to there
     head: HeadMesh  # there
     report: FitNeutralReport
+    open_slits: tuple[str, ...] = ()  # of mouth, eye_right and eye_left: those with something between their rims
 
 
 def fit_head(
@@ -90,6 +53,8 @@ def fit_head(
 ) -> HeadFit:
     """Lay the template onto the head.
 
+    First as a neutral onto a scan; then once more with the rims of lids and lips held where the head has its own.
+
     :param database: who people may be, on the template's topology: `built_in_head.people` for the head in the box
     :param points: (m, 3) of the head, in any unit and place
     :param triangles: (t, 3) of them
@@ -101,4 +66,21 @@ def fit_head(
     scan = Scan(name=name, points=np.asarray(points, np.float64), triangles=np.asarray(triangles, np.int32))
     neutral, place, report = fit_neutral(template, scan, landmarks, database, options, progress)
     head = HeadMesh.of(place.apply(scan.points), np.asarray(triangles, np.int64))
-    return HeadFit(points=neutral.points, place=place, head=head, report=report)
+    rows = neutral.points[template.rows]
+    labels, sides = sides_on(template, rows, head, nearest_places(rows, template.triangles, head), REACH_MM)
+    rims, open_slits = rim_anchors(template, rows, head, labels, sides)
+    if len(rims):
+        own = landmark_anchors(template, landmarks)
+        anchors = own.with_more(replace(rims, targets=place.undo(rims.targets)))
+        surface = identity_surface(template, database.identity, options)
+        view = View(scan=scan_target(scan)[0], anchors=anchors, start=place, name=name)
+        known = np.array(report.coefficients)
+        residual = rows - surface.points(known)
+        # With its size as found: what rims add says nothing of it.
+        solver = replace(options.registration, scale=False)
+        found = register_together(surface, [view], known, residual, solver, progress)[0]
+        lines = report.warnings
+        neutral, report = found_neutral(template, database.identity, name, found, anchors.names, lines, {})
+        place = found.place
+        head = HeadMesh.of(place.apply(scan.points), np.asarray(triangles, np.int64))
+    return HeadFit(points=neutral.points, place=place, head=head, report=report, open_slits=open_slits)

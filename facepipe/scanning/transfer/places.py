@@ -9,7 +9,9 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.closest_points import ClosestPlaces, closest_among, closest_places, place_shares
 from facepipe.geometry.polygons import triangle_normals
+from facepipe.scanning.transfer.mesh import HeadMesh
 
+REACH_MM = 4.0  # points farther from the template than that are not on it: hair, clothes, another inner mouth
 _FACING = 0.0  # cosine between normals: a place that faces away is on another sheet, such as the inside of a lip
 _CANDIDATES = 48  # triangles, the nearest by their middles, that are tried for points whose nearest place faces away
 
@@ -27,14 +29,19 @@ class Places:
         return np.asarray(np.einsum("sc,sc...->s...", self.shares, values[self.corners]))
 
 
-def places_on(
-    rows: FloatArray, triangles: IntArray, labels: IntArray, points: FloatArray, normals: FloatArray, sides: IntArray
-) -> Places:
-    """The nearest places of a surface, rows (r, 3) and triangles (t, 3), to points (s, 3) that face `normals` (s, 3).
+def nearest_places(rows: FloatArray, triangles: IntArray, head: HeadMesh) -> Places:
+    """The nearest places of a surface, rows (r, 3) and triangles (t, 3), to a head's points, on whichever side."""
+    nothing = np.zeros(len(rows), np.int64), np.zeros(len(head.points), np.int64)
+    return places_on(rows, triangles, head, *nothing)
+
+
+def places_on(rows: FloatArray, triangles: IntArray, head: HeadMesh, labels: IntArray, sides: IntArray) -> Places:
+    """The nearest places of a surface, rows (r, 3) and triangles (t, 3), to a head's points, that face as these do.
 
     :param labels: (r,) +a and -a of the sides of slit a
-    :param sides: (s,) the same of the points: one of +a finds no place on a triangle with a corner of -a
+    :param sides: (s,) the same of the head's points: one of +a finds no place on a triangle with a corner of -a
     """
+    points, normals = head.points, head.normals
     count = len(points)
     corners, shares, distances = np.zeros((count, 3), np.int64), np.zeros((count, 3)), np.full(count, np.inf)
     of_corners = labels[triangles]

@@ -15,7 +15,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.geodesics import graph_distances, surface_graph
 from facepipe.scanning.rebuild.template import Template
-from facepipe.scanning.transfer.fit import HeadMesh
+from facepipe.scanning.transfer.mesh import HeadMesh
 from facepipe.scanning.transfer.places import Places
 from facepipe.verbs.skin.surface import slits_of, surface_of
 

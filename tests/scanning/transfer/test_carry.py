@@ -2,58 +2,22 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import numpy.typing as npt
 import pytest
-import small_head
+from transfer_template import SHAPES, on, own, shapes, skin, template
 
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.similarity import Similarity
-from facepipe.scanning.rebuild import Template
-from facepipe.scanning.transfer import Carried, HeadFit, HeadMesh, carried
-from facepipe.verbs.whole_faces import whole_face
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
-STILL = Similarity(rotation=np.eye(3), translation=np.zeros(3))
-SHAPES = ("jawOpen", "mouthSmileLeft", "eyeBlinkRight")
-
-
-@cache
-def template() -> Template:
-    return Template.of(small_head.make(), "head")
-
-
-@cache
-def shapes() -> dict[str, FloatArray]:
-    deltas = whole_face(small_head.make(), "head").deltas
-    return {name: np.asarray(deltas[name], np.float64) for name in SHAPES}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def made_before() -> None:
     """The head is made before the first test, not in it."""
-    assert len(shapes()) == len(SHAPES)
-    assert len(template().seen)
-
-
-def on(points: FloatArray, triangles: IntArray, place: Similarity = STILL, fitted: FloatArray | None = None) -> Carried:
-    """The shapes on a head in millimetres, on which the template lies as it is or at `fitted` whole points."""
-    fit = HeadFit(
-        points=template().points if fitted is None else fitted,
-        place=place,
-        head=HeadMesh.of(place.apply(points), triangles),
-        report=None,  # type: ignore[arg-type]  # of what no shape depends on
-    )
-    return carried(template(), fit, shapes())
-
-
-def skin() -> tuple[FloatArray, IntArray]:
-    """The template's own skin, and its triangles."""
-    return template().points[template().rows], template().triangles
+    assert len(own().deltas) == len(SHAPES)
 
 
 def finer(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
@@ -68,7 +32,7 @@ def finer(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray
 
 
 def test_on_its_own_mesh_shapes_are_the_templates() -> None:
-    found = on(*skin())
+    found = own()
     assert found.reached.all()
     for name, delta in shapes().items():
         np.testing.assert_allclose(found.deltas[name], delta[template().rows], rtol=0, atol=1e-6)
@@ -79,8 +43,8 @@ def test_points_between_the_templates_move_as_its_triangles_do() -> None:
     pairs, _ = edges(np.full(len(triangles), 3), triangles.ravel())
     found = on(*finer(points, triangles))
     for name, delta in shapes().items():
-        own = delta[template().rows]
-        off = np.linalg.norm(found.deltas[name] - np.concatenate([own, own[pairs].mean(axis=1)]), axis=1)
+        at_rows = delta[template().rows]
+        off = np.linalg.norm(found.deltas[name] - np.concatenate([at_rows, at_rows[pairs].mean(axis=1)]), axis=1)
         assert np.percentile(off, 99.5) < 1e-6
         assert off.max() < 1.0  # in the folds of a head of so few triangles
 
@@ -90,17 +54,17 @@ def test_turn_size_and_place_of_a_head_turn_and_scale_its_shapes() -> None:
     pose = Similarity(rotation=turn * np.sign(np.linalg.det(turn)), translation=np.array([9e4, -3e3, 7e4]), scale=25.4)
     points, triangles = skin()
     found = on(pose.undo(points), triangles, pose)
-    for name, delta in on(points, triangles).deltas.items():
+    for name, delta in own().deltas.items():
         np.testing.assert_allclose(found.deltas[name], delta @ pose.rotation / pose.scale, rtol=0, atol=1e-6 / 25.4)
 
 
 def test_no_motion_crosses_the_mouth_where_the_template_lies_2_mm_off() -> None:
     points, triangles = skin()
-    own, off = on(points, triangles), on(points, triangles, fitted=template().points - [0.0, 2.0, 0.0])
-    assert np.count_nonzero(off.sides * own.sides < 0) <= 0.02 * np.count_nonzero(own.sides)
-    opened = np.linalg.norm(own.deltas["jawOpen"], axis=1)
-    most = opened[own.sides == 1].max()
-    assert opened[own.sides == -1].max() > 2.0 * most
+    still, off = own(), on(points, triangles, fitted=template().points - [0.0, 2.0, 0.0])
+    assert np.count_nonzero(off.sides * still.sides < 0) <= 0.02 * np.count_nonzero(still.sides)
+    opened = np.linalg.norm(still.deltas["jawOpen"], axis=1)
+    most = opened[still.sides == 1].max()
+    assert opened[still.sides == -1].max() > 2.0 * most
     found = np.linalg.norm(off.deltas["jawOpen"], axis=1)
     assert found[off.sides == 1].max() < 1.1 * most  # not the lower lip's, though that is nearer
 
@@ -108,7 +72,7 @@ def test_no_motion_crosses_the_mouth_where_the_template_lies_2_mm_off() -> None:
 def test_seams_cut_nothing() -> None:
     points, triangles = skin()
     apart = np.where(points[triangles].mean(axis=1)[:, 0] > 0, len(points), 0)  # a seam down the middle of the face
-    found, expected = on(np.concatenate([points, points]), triangles + apart[:, None]), on(points, triangles)
+    found, expected = on(np.concatenate([points, points]), triangles + apart[:, None]), own()
     used = np.unique(triangles + apart[:, None])
     for name, delta in expected.deltas.items():
         np.testing.assert_allclose(found.deltas[name][used], np.concatenate([delta, delta])[used], rtol=0, atol=1e-6)
@@ -151,4 +115,4 @@ def test_sides_do_not_depend_on_the_order_of_points() -> None:
     order = np.random.default_rng(5).permutation(len(points))
     place = np.argsort(order)
     found = on(points[order], place[triangles])
-    np.testing.assert_array_equal(found.sides, on(points, triangles).sides[order])
+    np.testing.assert_array_equal(found.sides, own().sides[order])
