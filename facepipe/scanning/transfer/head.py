@@ -128,18 +128,23 @@ class Head:
         """(n, 3) of whole points, of values (m, 3) of the sewn ones."""
         return np.asarray(values[self.surface.group])
 
-    def hints(self) -> Hints:
-        """What names of meshes and a jaw's joint say of the sewn points."""
-        joint = human_joint(self.parts, "Jaw")
-        jaw = None if joint is None else np.zeros(len(self.sewn))
-        start = 0
+    def carried_by(self, part: str) -> FloatArray | None:
+        """(m,) weight of the joint of a part, as `human_joint` finds it, at the sewn points; None: no such joint."""
+        joint = human_joint(self.parts, part)
+        if joint is None:
+            return None
+        weights, start = np.zeros(len(self.sewn)), 0
         for mesh in self.parts.meshes:
             group = self.surface.group[start : start + len(mesh.points)]
             start += len(mesh.points)
-            if jaw is not None and mesh.skin is not None:
-                jaw[group] = (mesh.skin.joint_weights * (mesh.skin.joint_indices == joint)).sum(axis=1)
+            if mesh.skin is not None:
+                weights[group] = (mesh.skin.joint_weights * (mesh.skin.joint_indices == joint)).sum(axis=1)
+        return weights
+
+    def hints(self) -> Hints:
+        """What names of meshes and a jaw's joint say of the sewn points."""
         names = tuple(exact(mesh) for mesh in self.parts.meshes)
-        return Hints(names=names, name=self.surface.mesh, jaw=jaw)
+        return Hints(names=names, name=self.surface.mesh, jaw=self.carried_by("Jaw"))
 
     def scan_of_skin(self) -> Scan:
         """The piece that carries the face as a scan, with its colours."""

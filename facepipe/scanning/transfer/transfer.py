@@ -20,23 +20,12 @@ from facepipe.scanning.database import FaceDatabase
 from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_inside_fitted
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
-from facepipe.scanning.transfer.companions import Motion
+from facepipe.scanning.transfer.companions import motion_of
 from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, finished
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.marks import carried_masks, own_points
-from facepipe.scanning.transfer.pieces import (
-    EYE_LEFT,
-    EYE_RIGHT,
-    HELPER,
-    STILL,
-    TEETH_LOWER,
-    TEETH_UPPER,
-    TONGUE,
-    Hints,
-    Inside,
-    pieces_of,
-)
+from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, pieces_of
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
@@ -144,8 +133,7 @@ def transfer(
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
     if "shapes" in wanted and names:
         own = whole_face(body.parts, body.where).deltas
-        own = {name: own[name] for name in names}
-        skin_deltas = carried(body, fit, own, lambda name: _done(step)).deltas
+        skin_deltas = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step)).deltas
         made, face_points = whole_shapes(head, skin, body, fit, own, skin_deltas)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
@@ -203,13 +191,21 @@ def whole_shapes(
     place = fit.place
     points, marks = place.apply(head.sewn), place.apply(head.landmarks.points)
     marks = np.where(head.landmarks.known[:, None], marks, fit.points[body.rows[body.landmarks]])
-    inside = _inside(body, fit)
-    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), inside)
-    motion = Motion(neutral=body.points, deltas=own, inside=inside)
+    own_marks = body.points[body.rows[body.landmarks]]
+    motion = motion_of(body.points, body.topology.triangles, own_marks, own, with_inside_fitted(fit.points))
+    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside)
     whole = {name: np.zeros_like(points) for name in carried}
     for name, delta in carried.items():
         whole[name][skin] = place.scale * delta @ place.rotation.T
     made = finished(points, head.surface.triangles, marks, pieces, motion, whole)
+
+    for side, kind in (("Left", EYE_LEFT), ("Right", EYE_RIGHT)):
+        # where a joint turns the eyeball, shapes that turn it too would turn it twice
+        turned = head.carried_by(f"{side}Eye")
+        if turned is not None:
+            ball = pieces.of(kind)
+            for name in (one for one in made.deltas if one.startswith("eyeLook") and one.endswith(side)):
+                made.deltas[name][ball] *= 1.0 - turned[ball, None]
 
     def back(deltas: Mapping[_Key, FloatArray]) -> dict[_Key, FloatArray]:
         return {key: np.asarray(delta @ place.rotation / place.scale) for key, delta in deltas.items()}
@@ -218,21 +214,6 @@ def whole_shapes(
     face_points = np.ones(len(points), bool)
     face_points[pieces.of(STILL, HELPER)] = False
     return replace(made, deltas=back(made.deltas), inbetweens=between), face_points
-
-
-def _inside(body: Template, fit: HeadFit) -> Inside:
-    """Where the eyeballs, teeth and tongue of the fitted template lie."""
-    names, counts = body.topology.names, body.topology.points
-    hints = Hints(names=names, name=np.repeat(np.arange(len(names)), counts))
-    marks = body.points[body.rows[body.landmarks]]
-    kinds = pieces_of(body.points, body.topology.triangles, marks, hints)
-    return Inside(
-        points=with_inside_fitted(fit.points),
-        balls={"Left": kinds.of(EYE_LEFT), "Right": kinds.of(EYE_RIGHT)},
-        upper=kinds.of(TEETH_UPPER),
-        lower=kinds.of(TEETH_LOWER),
-        tongue=kinds.of(TONGUE),
-    )
 
 
 def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
