@@ -30,7 +30,7 @@ from facepipe.scans import Scan, ScanLandmarks
 _USUAL = FitNeutralOptions()
 # Matches of neighbouring points are no independent measurements, so that a surface counts for more than it knows: heads
 # that no mode shows slide along it by 4 mm under landmarks that are 2 mm off and say so. Held by this share of their
-# sigma, shapes of such heads are off by 0.30 instead of 0.44 mm, those of heads inside the model by 0.08 instead of 0.07.
+# sigma, shapes of such a head are off by 0.30 instead of 0.44 mm, those of one inside the model by 0.08, not 0.07.
 _HELD = 0.35
 _ROUNDS = 2  # lids that lie 4 mm off are outliers in the first, and near enough in the second
 
@@ -75,7 +75,8 @@ def fit_head(
     surface, target = identity_surface(template, database.identity, options), scan_target(scan)[0]
     # With its size as found: what rims add says nothing of it.
     solver = replace(options.registration, scale=False)
-    triangles, open_slits = np.asarray(triangles, np.int64), ()
+    triangles = np.asarray(triangles, np.int64)
+    open_slits: tuple[str, ...] = ()
     for _ in range(_ROUNDS):
         head, rows = HeadMesh.of(place.apply(scan.points), triangles), neutral.points[template.rows]
         labels, sides = sides_on(template, rows, head, nearest_places(rows, template.triangles, head), REACH_MM)
