@@ -143,14 +143,14 @@ def main() -> int:
     arguments = parser.parse_args()
     bench = Bench()
     table, lines = [("", "seed", *_COLUMNS.values())], []
-    figures: dict[str, dict[str, dict[str, float]]] = {}
-    for (row, kind), aims in zip(_ROWS.items(), _AIMS, strict=True):
-        found = {str(seed): bench.figures(seed, **kind) for seed in range(arguments.seeds)}
-        for seed, one in found.items():
-            print(f"{row} {seed}: " + ", ".join(f"{key} {one[key]:.3f}" for key in _COLUMNS), file=sys.stderr)
+    figures: dict[str, dict[str, dict[str, float]]] = {row: {} for row in _ROWS}
+    for seed in range(arguments.seeds):
+        for row, kind in _ROWS.items():
+            one = figures[row][str(seed)] = bench.figures(seed, **kind)
+            print(f"{seed} {row}: " + ", ".join(f"{key} {one[key]:.3f}" for key in _COLUMNS), file=sys.stderr)
+    for (row, found), aims in zip(figures.items(), _AIMS, strict=True):
         for name, of in (("mean", np.mean), ("worst", np.max)):
             found[name] = {key: float(of([one[key] for one in found.values()])) for key in _COLUMNS}
-        figures[row] = found
         table += [(row, seed, *(f"{one[key]:.3f}" for key in _COLUMNS)) for seed, one in found.items()]
         mean = found["mean"]
         lines += [verdict(f"{row}: {_COLUMNS[key]}", mean[key], aim) for key, aim in aims.items()]

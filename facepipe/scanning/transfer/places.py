@@ -38,18 +38,25 @@ def nearest_places(rows: FloatArray, triangles: IntArray, head: HeadMesh) -> Pla
 def places_on(rows: FloatArray, triangles: IntArray, head: HeadMesh, labels: IntArray, sides: IntArray) -> Places:
     """The nearest places of a surface, rows (r, 3) and triangles (t, 3), to a head's points, that face as these do.
 
+    Points farther off than `REACH_MM` may find none: those of a body below are as far from a thousand triangles as from
+    the nearest, and each of these would be tried.
+
     :param labels: (r,) +a and -a of the sides of slit a
     :param sides: (s,) the same of the head's points: one of +a finds no place on a triangle with a corner of -a
     """
+    from scipy.spatial import cKDTree
+
     points, normals = head.points, head.normals
+    largest = float(np.linalg.norm(rows[triangles] - rows[triangles[:, [1, 2, 0]]], axis=2).max())
+    near = np.isfinite(cKDTree(rows).query(points, distance_upper_bound=REACH_MM + largest)[0])
     count = len(points)
     corners, shares, distances = np.zeros((count, 3), np.int64), np.zeros((count, 3)), np.full(count, np.inf)
     of_corners = labels[triangles]
     facing = triangle_normals(rows, triangles)
     for side in np.unique(sides):
-        numbers = np.flatnonzero(sides == side)
+        numbers = np.flatnonzero(near & (sides == side))
         allowed = np.flatnonzero((of_corners != -side).all(axis=1)) if side else np.arange(len(triangles))
-        if not len(allowed):
+        if not (len(allowed) and len(numbers)):
             continue
         nearest = _facing(rows, triangles[allowed], facing[allowed], points[numbers], normals[numbers])
         corners[numbers] = triangles[allowed[nearest.triangles]]

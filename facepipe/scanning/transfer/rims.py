@@ -128,16 +128,16 @@ def rim_anchors(
             [Lid.of(frame.local(points), ends, marked, sign * number, frame) for sign in (1, -1)]
             for (points, _, marked), ends in zip(meshes, pairs, strict=True)
         )
-        spans = opening((own[0], own[1])), opening((other[0], other[1]))
-        if spans[1] is None:
+        ours, theirs = opening((own[0], own[1])), opening((other[0], other[1]))
+        if theirs is None:
             continue
         open_slits.append(SLITS[number - 1])
-        if spans[0] is None or np.ptp(spans[1]) < _LEAST_WIDTH * np.ptp(spans[0]):
+        if ours is None or np.ptp(theirs) < _LEAST_WIDTH * np.ptp(ours):
             continue
-        first, last = np.transpose(spans)
-        stations = first.max() + _SHARES * (last.min() - first.max())
-        for ours, theirs in zip(own, other, strict=True):
-            found = found.with_more(_laid(ours, theirs, stations, head.points))
+        first, last = max(ours[0], theirs[0]), min(ours[1], theirs[1])
+        stations = first + _SHARES * (last - first)
+        for lid, their_lid in zip(own, other, strict=True):
+            found = found.with_more(_laid(lid, their_lid, stations, head.points))
     return found, tuple(open_slits)
 
 

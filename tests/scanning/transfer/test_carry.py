@@ -110,6 +110,19 @@ def test_points_without_a_triangle_stand_still() -> None:
     assert not any(delta[-1].any() for delta in found.deltas.values())
 
 
+def test_a_body_of_many_points_below_the_head_changes_nothing_and_is_not_searched() -> None:
+    points, triangles = skin()
+    count = 100  # a side: as long as a body, and each of its points as far from all of the head
+    x, y = np.meshgrid(np.linspace(-400.0, 400.0, count), np.linspace(-1800.0, -1000.0, count))
+    sheet = np.stack([x, y, np.zeros_like(x)], axis=2).reshape(-1, 3)
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel() + len(points)
+    cells = np.stack([corner, corner + 1, corner + count], axis=1)
+    found = on(np.concatenate([points, sheet]), np.concatenate([triangles, cells]))
+    for name, delta in own().deltas.items():
+        np.testing.assert_allclose(found.deltas[name][: len(points)], delta, rtol=0, atol=1e-9)
+        assert not found.deltas[name][len(points) :].any()
+
+
 def test_sides_do_not_depend_on_the_order_of_points() -> None:
     points, triangles = skin()
     order = np.random.default_rng(5).permutation(len(points))
