@@ -1203,6 +1203,7 @@ def transfer(
     cut_mouth: bool = False,
     replace: bool = False,
     picture: str | os.PathLike[str] | None = None,
+    report: str | os.PathLike[str] | None = None,
 ) -> TransferReport:
     """Give a head of others the shapes of a template: `facepipe transfer`.
 
@@ -1215,6 +1216,7 @@ def transfer(
     :param cut_mouth: open a mouth that triangles seal, along edges between the lips
     :param replace: make shapes, regions, landmarks and sliders that the head has anew
     :param picture: draw all shapes from the front and from between front and side
+    :param report: folder to make: figures of each shape, pictures
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there
     :param flatten: write a standalone file

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import triangle_normals
+from facepipe.geometry.polygons import flipped_triangles, triangle_normals
 from facepipe.scanning.transfer.companions import Companions, Motion
+from facepipe.scanning.transfer.figures import seen_triangles
 from facepipe.scanning.transfer.lids import (
     EYES,
     NO_SOCKET,
@@ -41,6 +42,7 @@ class ShapeVerdict:
 
     name: str
     verdict: str  # "made", "made as carried: why", "not made: why"
+    flips: int = 0  # triangles of the skin, seen in the neutral, that turn over
     lids: LidFigures | None = None  # of blinks that were made
 
     @property
@@ -81,7 +83,7 @@ def finished(
     found = {side: _aperture(points, skin, landmarks, pieces, motion, side) for side in EYES}
     eyes = {side: eye for side, eye in found.items() if isinstance(eye, Aperture)}
     companions = Companions(points, triangles, pieces, motion, eyes)
-    sealed = mouth_is_sealed(points, skin, landmarks)
+    sealed, seen = mouth_is_sealed(points, skin, landmarks), seen_triangles(points, skin, landmarks)
     deltas: dict[str, FloatArray] = {}
     inbetweens: dict[str, Mapping[float, FloatArray]] = {}
     verdicts = []
@@ -112,8 +114,9 @@ def finished(
             whole = companions.delta(name, delta)
             deltas[name] = whole
             if lids is not None:
-                made = ShapeVerdict(name=name, verdict=verdict, lids=lid_figures(points, whole, skin, eyes[side]))
-                verdicts[-1] = made
+                lids = lid_figures(points, whole, skin, eyes[side])
+            flips = int(flipped_triangles(points, points + whole, seen).sum())
+            verdicts[-1] = replace(made, flips=flips, lids=lids)
     notes = [*pieces.notes, *([SEALED] if sealed else [])]
     notes += [f"{side.lower()} eye: {eye}" for side, eye in found.items() if eye in (SHUT, PAINT, NO_SOCKET)]
     return Finished(deltas=deltas, inbetweens=inbetweens, verdicts=tuple(verdicts), notes=tuple(notes))

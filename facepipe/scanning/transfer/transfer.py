@@ -21,6 +21,7 @@ from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_insi
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
 from facepipe.scanning.transfer.companions import motion_of
+from facepipe.scanning.transfer.figures import LipFigures, lip_figures
 from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, finished
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
@@ -45,6 +46,7 @@ class TransferReport(Report):
     fit_p95_mm: float
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
     not_made: Mapping[str, str]  # shape -> why it can't be
+    lips: LipFigures | None = None  # with jawOpen and mouthClose together, where both were made
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
@@ -131,10 +133,12 @@ def transfer(
         progress=lambda number: _done(step),
     )
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
+    lips = None
     if "shapes" in wanted and names:
         own = whole_face(body.parts, body.where).deltas
-        skin_deltas = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step)).deltas
-        made, face_points = whole_shapes(head, skin, body, fit, own, skin_deltas)
+        brought = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step))
+        made, face_points = whole_shapes(head, skin, body, fit, own, brought.deltas)
+        lips = _lips(made, head, skin, fit, brought.sides)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -148,12 +152,13 @@ def transfer(
         landmarks=head.source,
         fit_mean_mm=fit.report.quality.surface_mean_mm,
         fit_p95_mm=fit.report.quality.surface_p95_mm,
-        shapes={one.name: _row(one, made.deltas) for one in made.verdicts},
+        shapes={one.name: _row(one, made.deltas, fit.place.scale) for one in made.verdicts},
         not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
         kept=kept,
         regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
         joints=len(after.skeleton.joints) if joints else 0,
         sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
+        lips=lips,
         authored=authored.authored,
         shown=head.whole(face_points),
         place=fit.place,
@@ -162,15 +167,26 @@ def transfer(
     )
 
 
+def _lips(made: Finished, head: Head, skin: IntArray, fit: HeadFit, sides: IntArray) -> LipFigures | None:
+    """How lips meet; None: one of the shapes that close them is not made, or they are sealed."""
+    verdicts = {one.name: one.verdict for one in made.verdicts}
+    if any(verdicts.get(name) != MADE for name in ("jawOpen", "mouthClose")):
+        return None
+    together = made.deltas["jawOpen"][skin] + made.deltas["mouthClose"][skin]
+    place = fit.place
+    return lip_figures(place.apply(head.sewn[skin]), sides, place.scale * together @ place.rotation.T)
+
+
 def _done(step: Callable[[], object]) -> None:
     step()
 
 
-def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray]) -> dict[str, object]:
-    """A shape's verdict and figures."""
+def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray], scale: float) -> dict[str, object]:
+    """A shape's verdict and figures, in true millimetres whatever unit the file says."""
     row: dict[str, object] = {"verdict": one.verdict}
     if one.name in deltas:
-        row["largest_mm"] = float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
+        row["largest_mm"] = scale * float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
+        row["flips"] = one.flips
     return row | ({} if one.lids is None else {"lids": asdict(one.lids)})
 
 

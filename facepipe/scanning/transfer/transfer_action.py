@@ -9,7 +9,9 @@ else they are those of HEAD itself, else they are found on it, which needs `pip 
 
 OUT is an override layer over HEAD where that is a stage; --flatten, --cut-mouth and any other HEAD give a standalone
 one. What can't be made is named, shape by shape: blinks of painted eyes, a tongue that is not there. Exit code 1: done,
-but some shape that was asked for could not be made.
+but some shape that was asked for could not be made. --json has a row a shape: verdict, largest_mm, flips (triangles
+of the skin, seen in the neutral, that turn over) and, of blinks, lids (gaps, and depths in the eyeball, mm); --report
+makes a page of it.
 
 examples:
   facepipe transfer head.glb -o head_arkit.glb --picture shapes.png
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from facepipe.scanning.transfer.transfer import TransferReport
     from facepipe.stage import Face
 
+_NAMES = r"index\.html|report\.json|shapes\.png"  # in the folder of the report
 _STEPS = 90  # of the fit, and one a shape
 
 
@@ -58,6 +61,7 @@ class TransferAction(StageAction["TransferReport"]):
     cut_mouth: bool = option(False, "open a mouth that triangles seal, along edges between the lips")
     replace: bool = option(False, "make shapes, regions, landmarks and sliders that the head has anew")
     picture: Path | None = beside("draw all shapes from the front and from between front and side", ".png", "draw")
+    report: Path | None = beside("folder to make: figures of each shape, pictures", "", "write_report", holds=_NAMES)
 
     @classmethod
     def replaced(cls, arguments: Any) -> Collection[str]:
@@ -106,3 +110,9 @@ class TransferAction(StageAction["TransferReport"]):
         from facepipe.scanning.transfer.pictures import shape_sheet
 
         save_png(shape_sheet(face.parts(), report.shapes, report.shown, report.place, report.framing), path)
+
+    def write_report(self, face: Face, report: TransferReport, path: Path) -> None:
+        """The folder of the report."""
+        from facepipe.scanning.transfer.report_page import write_report
+
+        write_report(path, face.parts(), report)
