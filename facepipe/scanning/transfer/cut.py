@@ -27,7 +27,7 @@ def with_cut_mouth(head: Head) -> FaceParts:
     :raises FitError: lips that can't be found, or no path of edges between them
     """
     where, marks = f"{head.where} -> mouth", head.landmarks.points
-    if not np.isfinite(marks[[*_LOWER, *range(27, 36), *range(60, 68)]]).all():
+    if not np.isfinite(marks[[*range(27, 36), *range(48, 68)]]).all():
         raise FitError(where, "landmarks of nose and lips are unknown, expected them where the mouth is to be cut")
     width = float(np.linalg.norm(marks[64] - marks[60]))
     counts = np.concatenate([mesh.face_vertex_counts for mesh in head.parts.meshes])

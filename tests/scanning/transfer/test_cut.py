@@ -55,7 +55,7 @@ def _head(parts: FaceParts, *, reach: float = 30.0) -> Head:
     for number, x in {60: -1.0, 61: -0.5, 62: 0.0, 63: 0.5, 64: 1.0, 65: 0.5, 66: 0.0, 67: -0.5}.items():
         off = 0.0 if number in (60, 64) else 1.0 if number < 64 else -1.0
         marks[number] = [x * reach, off, 30.0]
-    marks[27:36], marks[55:60] = [0.0, 30.0, 30.0], [0.0, -10.0, 30.0]
+    marks[27:36], marks[48:55], marks[55:60] = [0.0, 30.0, 30.0], [0.0, 10.0, 30.0], [0.0, -10.0, 30.0]
     landmarks = ScanLandmarks(points=marks)
     surface = surface_of(parts, "sheet")
     return Head(
