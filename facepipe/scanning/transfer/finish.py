@@ -100,10 +100,8 @@ def finished(
                 lids = blink.figures
             elif isinstance(eye, Aperture):
                 delta = slid(points, skin, eye, delta)
-            elif eye == NO_SOCKET:
-                verdict = f"{AS_CARRIED}: {eye}"
-            elif stem in _BY_LIDS:
-                verdict = f"not made: {eye}"
+            else:  # lids that a template only stretches over an eye close nothing
+                verdict = f"{'not made' if stem in _BY_LIDS else AS_CARRIED}: {eye}"
         elif name == "tongueOut" and not len(pieces.of(TONGUE, MOUTH)):
             verdict = f"not made: {NO_TONGUE}"
         elif name in _OPENS and sealed:
