@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import json
+import runpy
 import shutil
 import subprocess
 import sys
@@ -40,17 +41,21 @@ from facepipe.parts import FaceParts, Material, Mesh
 from facepipe.photo.pictures import wireframe
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture
 from facepipe.pictures.camera import LENS, MARGIN, Camera, View, portrait
+from facepipe.pictures.face_picture import poses
 from facepipe.rig.trs import rotation_matrices
 from facepipe.scanning.database import create_database, save_database
+from facepipe.scanning.transfer.pictures import shown_faces
+from facepipe.scanning.transfer.transfer import TransferReport
 from facepipe.stage import Face
 from facepipe.verbs.blend import BlendSession, Weights
 from facepipe.verbs.blend.graph import mix
-from facepipe.verbs.whole_faces import whole_face
+from facepipe.verbs.whole_faces import whole_face, whole_parts
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[1] / "shared" / "data"
 SCAN, PHOTO = DATA / "scans" / "LeePerrySmith.glb", DATA / "photos" / "astronaut.png"
 ICT = DATA / "ict_facekit" / "ict_facekit.npz"
+HEADS, SAMPLES = DATA / "heads", HERE.parent / "samples"
 SCRIPTS = HERE.parent / "tests" / "support" / "js"
 
 Drawing = Callable[[Path], Image.Image]
@@ -241,6 +246,26 @@ def scan_face(folder: Path) -> Image.Image:
 
 
 @of_docs
+def own_head(folder: Path) -> Image.Image:
+    """Heads of others on their own meshes, with shapes that `facepipe transfer` gave them.
+
+    The scan: "Infinite, 3D Head Scan" by Lee Perry-Smith (CC-BY 3.0, www.triplegangers.com, www.ir-ltd.net).
+    """
+    runpy.run_path(str(SAMPLES / "foreign_head.py"))["main"]([str(folder / "hero.glb")])
+    given = {
+        "a person, remeshed": folder / "hero.glb",
+        "ICT-FaceKit, warped": HEADS / "ict_stylised.obj",
+        "a scan": SCAN,
+    }
+    drawn = []
+    for name, head in given.items():
+        out = folder / f"{head.stem}.usdc"
+        report = facepipe.transfer(head, out=out)
+        drawn += expressions(name, facepipe.open(out).parts(), report)
+    return contact_sheet(drawn, columns=len(drawn) // len(given)).quantize(256)  # a third of the file
+
+
+@of_docs
 def rebuild_scan(folder: Path) -> Image.Image:
     """The same scan, and ICT-FaceKit (MIT license) fitted to it, with 60 people of that as database.
 
@@ -320,6 +345,31 @@ def web_blend(folder: Path) -> Image.Image:
       for (const one of folds) one.open = /^(all|eyes|mouth|nose)/.test(one.textContent);
     })()"""
     return viewed(folder, child, unfolded, "regions")
+
+
+def expressions(name: str, parts: FaceParts, report: TransferReport) -> list[tuple[str, Image.Image]]:
+    """The mesh of a head as a wire frame, and some of the shapes that it got, in pictures of the face."""
+    weights: dict[str, dict[str, float]] = {
+        name: {},
+        "jawOpen": {"jawOpen": 0.8},
+        "mouthSmile": both(1.0, "mouthSmile", "cheekSquint"),
+        "mouthPucker": {"mouthPucker": 1.0},
+        "eyeBlinkLeft, browDown": {"eyeBlinkLeft": 1.0} | both(1.0, "browDown"),
+    }
+    whole = whole_face(parts, name)
+    posed = []
+    for pose in weights.values():
+        moved = (one * whole.deltas[shape] for shape, one in pose.items() if shape in whole.deltas)
+        posed.append(report.place.apply(sum(moved, whole.points)))
+    placed = shown_faces(whole_parts(parts, posed[0]), report.shown)
+    chin = report.framing - (0.0, 0.2 * np.ptp(report.framing[:, 1]), 0.0)  # as far down as jaws open
+    camera = portrait(np.concatenate([report.framing, chin]), (0.5, 0.05), 190, 190)
+    plain = replace(options(190, camera=camera), background=(0.9, 0.91, 0.93))
+    images = [image.convert("RGB") for image in poses(placed, posed, plain)]
+    screen = camera.project(posed[0])
+    screen = np.concatenate([screen[:, :2] / screen[:, 3:], screen[:, 3:]], axis=1)
+    images[0].paste((24, 44, 96), (0, 0), wireframe(placed, screen, images[0].size))
+    return list(zip(weights, images, strict=True))
 
 
 def person(folder: Path, seed: int, name: str = "anna") -> Path:
@@ -505,7 +555,9 @@ def draw(names: list[str]) -> None:
     """Draw and save."""
     for name in names or PICTURES:
         with tempfile.TemporaryDirectory() as folder:
-            PICTURES[name](Path(folder)).convert("RGB").save(HERE / f"{name}.png", optimize=True)
+            image = PICTURES[name](Path(folder))
+            image = image if image.mode == "P" else image.convert("RGB")
+            image.save(HERE / f"{name}.png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 import facepipe
 from facepipe.parts import FaceParts, Mesh, UvSet
 
-TURN = Rotation.from_euler("yx", (35.0, -8.0), degrees=True).as_matrix()
+TO_METRES = 0.01 * Rotation.from_euler("yx", (35.0, -8.0), degrees=True).as_matrix().T
 
 
 def remeshed(mesh: Mesh) -> Mesh:
@@ -26,11 +26,10 @@ def remeshed(mesh: Mesh) -> Mesh:
     quads = mesh.face_vertex_indices.reshape(-1, 4)
     at, before, after = (np.roll(quads, by, axis=1).ravel().tolist() for by in (0, 1, -1))
     left = {pair: number for number, pair in enumerate(zip(at, after, strict=True))}
-    rings, done = [], set[int]()
-    for first in range(len(at)):
+    rings: list[list[int]] = []
+    for first in {point: corner for corner, point in enumerate(at)}.values():
         ring, corner = [], first
-        while corner not in done and corner >= 0:
-            done.add(corner)
+        while corner >= 0 and corner not in ring:
             ring.append(corner)
             corner = left.get((at[corner], before[corner]), -1)
         rings += [ring] if corner == first and len(ring) > 2 else []
@@ -46,11 +45,12 @@ def main(words: list[str]) -> int:
         print(__doc__, file=sys.stderr)
         return 2
     out, person = Path(words[0]), facepipe.sample(seed=int(words[1]) if len(words) > 1 else 5, textures=0).parts()
-    inside = (replace(mesh, skin=None, blendshapes=(), regions={}, landmarks={}) for mesh in person.meshes[1:])
-    meshes = tuple(replace(mesh, points=mesh.points @ TURN.T) for mesh in (remeshed(person.meshes[0]), *inside))
-    head = FaceParts(name=out.stem, meshes=meshes, materials=person.materials, meters_per_unit=0.01)
+    skin, *inside = person.meshes
+    bare = (replace(mesh, skin=None, blendshapes=(), regions={}, landmarks={}) for mesh in inside)
+    meshes = tuple(replace(mesh, points=mesh.points @ TO_METRES) for mesh in (remeshed(skin), *bare))
+    head = FaceParts(name=out.stem, meshes=meshes, materials=person.materials, meters_per_unit=1.0)
     facepipe.export(facepipe.Face.from_parts(head), out, overwrite=True)
-    marks = 0.01 * person.meshes[0].points[person.meshes[0].landmarks["multipie68"].indices] @ TURN.T  # metres
+    marks = skin.points[skin.landmarks["multipie68"].indices] @ TO_METRES
     out.with_suffix(".landmarks.json").write_text(json.dumps({"scheme": "multipie68", "points": marks.tolist()}))
     return 0
 

@@ -30,6 +30,7 @@ TOUR, COMMANDS, BLEND, BONES = (
 def run_lines(folder: Path, *pages: str) -> set[str]:
     """The files that every console line of the first page, in order, and then the Python of all pages make."""
     folder.mkdir()
+    (folder / "samples").symlink_to(REPOSITORY / "samples")
     lines = [line for block in blocks(pages[0], "console") for line in block.splitlines()]
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     commands = [[shutil.which("sh") or "sh", "-c", line] for line in lines]
@@ -45,7 +46,16 @@ def run_lines(folder: Path, *pages: str) -> set[str]:
 def test_the_readme_runs(tmp_path: Path) -> None:
     pytest.importorskip("wasmtime")
     made = run_lines(tmp_path / "project", README)
-    assert {"smile.fpb", "person.png", "levels.usda", "child.glb", "child.onnx", "points.npz", "mixed.glb"} <= made
+    assert {
+        "smile.fpb",
+        "person.png",
+        "levels.usda",
+        "child.glb",
+        "child.onnx",
+        "points.npz",
+        "hero_arkit.glb",
+        "mixed.glb",
+    } <= made
 
 
 @pytest.mark.slow
@@ -77,6 +87,7 @@ def test_the_tour_runs(tmp_path: Path) -> None:
     [
         pytest.param("from_scan", "anna.glb", marks=pytest.mark.needs_torch),
         pytest.param("from_glb", "game.glb", marks=pytest.mark.gate),
+        ("own_head", "hero_arkit.glb"),
     ],
 )
 def test_the_tutorials_run(tmp_path: Path, name: str, result: str) -> None:

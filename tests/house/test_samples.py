@@ -20,11 +20,20 @@ from small_head import make
 import facepipe
 import facepipe.heads
 from facepipe.checks import validate
-from facepipe.parts import Skeleton
+from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh, Skeleton
 from facepipe.stage import save_parts
 
 FOLDER = REPOSITORY / "samples"
-SCRIPTS = ("blend_family", "live_link_takes", "pre_publish", "ten_people", "transfer_rig", "watch_folder")
+SCRIPTS = (
+    "blend_family",
+    "foreign_head",
+    "live_link_takes",
+    "pre_publish",
+    "ten_people",
+    "transfer_rig",
+    "watch_folder",
+)
 NOTEBOOKS = ("engine_side", "first_face")
 
 
@@ -115,6 +124,41 @@ def test_a_rig_that_is_transferred_runs_without_facepipe(tmp_path: Path) -> None
     moved = np.linalg.norm(points - rest, axis=1)
     assert moved.max() > 5.0
     assert np.median(moved) < 0.01  # the skull stays
+
+
+def _quads(side: int = 12) -> FaceParts:
+    """A dome of quads, coloured, with landmarks away from its border, and a mesh inside with a shape."""
+    x, y = (one.ravel() for one in np.meshgrid(*[np.linspace(-5.0, 5.0, side)] * 2, indexing="ij"))
+    points = np.stack([x, y, 8.0 - 0.1 * (x**2 + y**2)], axis=1)
+    grid = np.arange(side * side).reshape(side, side)
+    quads = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=-1).reshape(-1, 4)
+    faces = {"face_vertex_counts": np.full(len(quads), 4, np.int32), "face_vertex_indices": quads.ravel()}
+    marks = Landmarks(indices=grid[2:-2, 1:-1].ravel()[:68].astype(np.int32), names=())
+    shape = Blendshape(name="jawOpen", point_indices=np.array([3], np.int32), offsets=np.ones((1, 3)))
+    skin = Mesh(name="Head", points=points, colors=np.full_like(points, 0.5), landmarks={"multipie68": marks}, **faces)
+    return FaceParts(
+        name="Person", meshes=(skin, Mesh(name="Teeth", points=0.5 * points, blendshapes=(shape,), **faces))
+    )
+
+
+def test_a_foreign_head_is_the_same_surface_on_another_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It looks outward still, has none of the person's points, and landmarks lie on it."""
+    person = _quads()
+    monkeypatch.setattr(facepipe.heads, "make", lambda seed, **_: person)
+    names = _run("foreign_head", tmp_path / "hero.glb", 2)
+    assert _errors(tmp_path / "hero.glb") == []
+    head = facepipe.read(tmp_path / "hero.glb")
+    assert (head.shapes, head.skeleton.joints, [mesh.name for mesh in head.meshes]) == ((), (), ["Head", "Teeth"])
+    skin, own = head.parts().meshes[0], person.meshes[0].points @ names["TO_METRES"]
+    apart = np.linalg.norm(skin.points[:, None] - own[None], axis=2).min(axis=1)
+    assert 0.005 < apart.min() <= apart.max() < 0.008  # the middles of quads of 9 mm
+    assert sorted({*skin.face_vertex_counts.tolist()}) == [4]
+    corners = skin.points[skin.face_vertex_indices.reshape(-1, 4)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.array([0.0, 0.0, 1.0]) @ names["TO_METRES"]
+    assert (normals @ outward > 0).all()
+    marks = read_scan_landmarks(tmp_path / "hero.landmarks.json").points
+    np.testing.assert_allclose(marks, own[person.meshes[0].landmarks["multipie68"].indices], atol=1e-6)
 
 
 def test_takes_become_clips_of_one_file(tmp_path: Path, capsys: Capsys) -> None:

@@ -42,7 +42,7 @@ class ShapeVerdict:
 
     name: str
     verdict: str  # "made", "made as carried: why", "not made: why"
-    flips: int = 0  # triangles of the skin, seen in the neutral, that turn over
+    flips: int = 0  # triangles of the skin, seen in the neutral, that turn over; of mouthClose with jawOpen
     lids: LidFigures | None = None  # of blinks that were made
 
     @property
@@ -113,7 +113,9 @@ def finished(
             deltas[name] = whole
             if lids is not None:
                 lids = lid_figures(points, whole, skin, eyes[side])
-            flips = int(flipped_triangles(points, points + whole, seen).sum())
+            # mouthClose is for a jaw that is open: alone it presses a closed mouth together
+            ended = points + whole + (deltas.get("jawOpen", 0.0) if name == "mouthClose" else 0.0)
+            flips = int(flipped_triangles(points, ended, seen).sum())
             verdicts[-1] = replace(made, flips=flips, lids=lids)
     notes = [*pieces.notes, *([SEALED] if sealed else [])]
     notes += [f"{side.lower()} eye: {eye}" for side, eye in found.items() if eye in (SHUT, PAINT, NO_SOCKET)]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 _VIEWS: tuple[View, ...] = ("front", (0.66, 0.05))
+_TOGETHER = {"mouthClose": ("jawOpen", "mouthClose")}  # alone it presses a closed mouth together
 _SIZE, _COLUMNS, _SAMPLES = 220, 5, 2
 _MARGIN = np.array([0.15, 0.3, 0.15])  # of the landmarks' size, to either side; above there are brows alone
 
@@ -40,9 +41,12 @@ def shape_sheet(
     room = (high - low) * _MARGIN
     corners = np.stack(np.meshgrid(*np.stack([low - room, high + room], axis=1)), axis=-1).reshape(-1, 3)
     moved = {"neutral": whole.points}
-    moved |= {name: whole.points + whole.deltas[name] for name in shapes if name in whole.deltas}
+    for name in shapes:
+        together = [one for one in _TOGETHER.get(name, (name,)) if one in whole.deltas]
+        if name in together:
+            moved[" + ".join(together)] = sum((whole.deltas[one] for one in together), whole.points)
     faces = {caption: place.apply(points) for caption, points in moved.items()}
-    placed = _without(whole_parts(parts, faces["neutral"]), shown)
+    placed = shown_faces(whole_parts(parts, faces["neutral"]), shown)
     views = []
     for view in _VIEWS:
         options = PictureOptions(size=size, camera=portrait(corners, view, size, size), samples=_SAMPLES)
@@ -56,7 +60,7 @@ def shape_sheet(
     return contact_sheet(cells, columns=_COLUMNS)
 
 
-def _without(parts: FaceParts, shown: BoolArray) -> FaceParts:
+def shown_faces(parts: FaceParts, shown: BoolArray) -> FaceParts:
     """The face without faces that have points which are not `shown` (n,)."""
     meshes = []
     cuts = np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.core.atomic import write_bytes
 from facepipe.core.markup import Markup, heading, page, ruled_table, tag
-from facepipe.scanning.transfer.finish import MADE
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
@@ -49,13 +48,13 @@ def _content(name: str, report: TransferReport, made: int) -> Iterator[Markup]:
     rows = [[shape, *_figures(row)] for shape, row in report.shapes.items()]
     rows += [[shape, f"the head's own: {own}", *[""] * 5] for shape, own in report.kept.items()]
     yield ruled_table(head, rows, (2, 3, 4, 5, 6))
-    yield tag("p", "turned over: triangles of the skin that are seen in the neutral; in the eyeball: at rest, to the "
-              "deepest at weight 1", class_="muted")  # fmt: skip
+    turned = "turned over: triangles of the skin that are seen in the neutral, of mouthClose with jawOpen"
+    yield tag("p", f"{turned}; in the eyeball: at rest, to the deepest at weight 1", class_="muted")
     yield heading("Pictures", "weight 1, from the front and from between front and side")
 
 
 def _figures(row: Mapping[str, Any]) -> list[str]:
-    verdict = "" if row["verdict"] == MADE else str(row["verdict"])
+    verdict = str(row["verdict"])
     if "largest_mm" not in row:
         return [verdict, *[""] * 5]
     cells, lids = [verdict, f"{row['largest_mm']:.1f}", str(row["flips"])], row.get("lids")

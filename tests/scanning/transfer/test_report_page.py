@@ -61,7 +61,7 @@ def test_each_shape_has_a_row_and_text_is_escaped(written: tuple[Path, TransferR
     made, blink = list(report.shapes)[:2]
     assert _rows(page)[1:] == [
         [made, "made as carried: lips are sealed", "12.3", "7", *[""] * 3],
-        [blink, "", "9.9", "0", "0.02", "0.31", "0.12 to 0.14"],
+        [blink, "made", "9.9", "0", "0.02", "0.31", "0.12 to 0.14"],
         ["eyeWideLeft", "not made: eyes are &lt;b&gt;paint&lt;/b&gt;", *[""] * 5],
         ["tongueOut", "the head&#x27;s own: Tongue &amp; Out", *[""] * 5],
     ]
