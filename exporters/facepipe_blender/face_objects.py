@@ -128,6 +128,13 @@ class FaceObjects:
         )
 
 
+def armature_of(mesh: Any) -> Any:
+    """The armature that moves a mesh object; else the one that is its parent, since parts without skin go along too."""
+    moving = (one.object for one in mesh.modifiers if one.type == "ARMATURE")
+    parent = mesh.parent if mesh.parent is not None and mesh.parent.type == "ARMATURE" else None
+    return next((one for one in moving if one is not None), parent)
+
+
 def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
     """The faces that some objects make, in the order of their names."""
     objects = sorted(objects, key=lambda one: str(one.name))
@@ -136,10 +143,7 @@ def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
     for obj in objects:
         if obj.type == "MESH":
             record = record_of(obj)
-            moving = (one.object for one in obj.modifiers if one.type == "ARMATURE")
-            parent = obj.parent if obj.parent is not None and obj.parent.type == "ARMATURE" else None
-            # meshes without skin belong to their face too
-            armature = next((one for one in moving if one is not None), parent) or kept.get(record)
+            armature = armature_of(obj) or kept.get(record)
             groups.setdefault((armature, record if armature is None else None), []).append(obj)
     faces = []
     for (armature, record), meshes in groups.items():

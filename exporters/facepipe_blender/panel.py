@@ -17,6 +17,7 @@ from facepipe.hosting.live_blend import reblended
 
 from .armature import bone_matrices, joint_paths, move_bones
 from .face_objects import MESH, FaceObjects, face_of, keep, kept_in
+from .head_shapes import FACEPIPE_OT_transfer
 from .hook import FaceHook, FACEPIPE_OT_message
 from .write_mesh import read_key_name, write_mesh, write_skin
 
@@ -178,29 +179,36 @@ class FACEPIPE_PT_face(bpy.types.Panel):  # noqa: N801  (Blender's way to name p
 
     def draw(self, context: Any) -> None:
         """What the face is, or why there is none; the buttons."""
-        layout = self.layout
-        layout.prop(context.scene, "facepipe_usd")
-        try:
-            face = face_of(context.active_object, context.scene.objects)
-        except FacepipeError as error:
-            for line in (error.where, *error.what.split(", ")):
-                layout.label(text=line)
-            return
-        of_meshes = [mesh.data.shape_keys for mesh in face.meshes if mesh.data.shape_keys]
-        names = [read_key_name(key.name) for one in of_meshes for key in one.key_blocks if key != one.reference_key]
-        shapes = {name.shape for name in names if name.weight is None}
-        bones = len(face.armature.data.bones) if face.armature else 0
-        column = layout.column(align=True)
-        column.label(text=face.first.name, icon="USER")
-        column.label(text=f"{len(face.meshes)} meshes, {len(shapes)} shapes, {bones} bones")
-        column.label(text="imported: nothing of it is lost" if face.record else "made in Blender")
-        layout.operator(FACEPIPE_OT_export.bl_idname, icon="EXPORT")
-        row = layout.row()
-        row.enabled = face.record is not None
-        row.operator(FACEPIPE_OT_blend.bl_idname, icon="FILE_REFRESH")
+        scene = context.scene
+        self.layout.prop(scene, "facepipe_usd")
+        _draw_face(self.layout, context)
+        column = self.layout.column(align=True)
+        column.prop(scene, "facepipe_landmarks")
+        column.operator(FACEPIPE_OT_transfer.bl_idname, icon="SHAPEKEY_DATA").landmarks = scene.facepipe_landmarks
 
 
-CLASSES = (FACEPIPE_OT_message, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_PT_face, FaceHook)
+def _draw_face(layout: Any, context: Any) -> None:
+    try:
+        face = face_of(context.active_object, context.scene.objects)
+    except FacepipeError as error:
+        for line in (error.where, *error.what.split(", ")):
+            layout.label(text=line)
+        return
+    of_meshes = [mesh.data.shape_keys for mesh in face.meshes if mesh.data.shape_keys]
+    names = [read_key_name(key.name) for one in of_meshes for key in one.key_blocks if key != one.reference_key]
+    shapes = {name.shape for name in names if name.weight is None}
+    bones = len(face.armature.data.bones) if face.armature else 0
+    column = layout.column(align=True)
+    column.label(text=face.first.name, icon="USER")
+    column.label(text=f"{len(face.meshes)} meshes, {len(shapes)} shapes, {bones} bones")
+    column.label(text="imported: nothing of it is lost" if face.record else "made in Blender")
+    layout.operator(FACEPIPE_OT_export.bl_idname, icon="EXPORT")
+    row = layout.row()
+    row.enabled = face.record is not None
+    row.operator(FACEPIPE_OT_blend.bl_idname, icon="FILE_REFRESH")
+
+
+CLASSES = (FACEPIPE_OT_message, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_OT_transfer, FACEPIPE_PT_face, FaceHook)
 
 
 def register_all() -> None:
@@ -210,6 +218,11 @@ def register_all() -> None:
         name="Faces in USD files",
         description="Armatures and meshes with shape keys are exported to USD as faces of facepipe",
         default=True,
+    )
+    bpy.types.Scene.facepipe_landmarks = bpy.props.StringProperty(
+        name="Landmarks",
+        subtype="FILE_PATH",
+        description="JSON of 68 landmarks of the face to add shapes to; without they are found",
     )
     for one in CLASSES:
         bpy.utils.register_class(one)
@@ -221,4 +234,4 @@ def unregister_all() -> None:
     atexit.unregister(unregister_all)
     for one in reversed(CLASSES):
         bpy.utils.unregister_class(one)
-    del bpy.types.Scene.facepipe_usd
+    del bpy.types.Scene.facepipe_usd, bpy.types.Scene.facepipe_landmarks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -43,6 +44,15 @@ def read_mesh(obj: Any, name: str, joints: Mapping[str, int], uv_names: Mapping[
         finally:
             if editing:
                 obj.to_mesh_clear()
+
+
+def read_undeformed(obj: Any, joints: Mapping[str, int]) -> Mesh:
+    """Points, faces, colours, shapes and skin of an object before any modifier, called as the object.
+
+    :param joints: as of `read_mesh`
+    """
+    mesh = _read(obj, obj.data, str(obj.name), joints, {}, set(), [])
+    return replace(mesh, normals=None, regions={}, point_subsets={}, material=None, material_faces=())
 
 
 def _read(

@@ -16,7 +16,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import identifier
 from facepipe.hosting.host_face import curves
-from facepipe.parts import Mesh, Skin
+from facepipe.parts import Blendshape, Inbetween, Mesh, Skin
 
 REGION = "region:"  # before the name of a region, since bones are called `chin` too
 SUBSET = "subset:"  # before the name of a point subset, of boolean point attributes
@@ -88,18 +88,34 @@ def _write_shapes(obj: Any, mesh: Mesh) -> None:
         obj.shape_key_add(name="Basis", from_mix=False)
     keys = obj.data.shape_keys
     basis = keys.reference_key
-    points = np.asarray(mesh.points, dtype=np.float64)
-    _set(basis, points)
-    wanted = {shape.name: (shape, None) for shape in mesh.blendshapes}
-    between = {
-        key_name(shape.name, inbetween.weight, inbetween.name): (shape, inbetween)
-        for shape in mesh.blendshapes
-        for inbetween in shape.inbetweens
-    }
-    gone = [one.name for one in keys.key_blocks if one != basis and one.name not in {*wanted, *between}]
+    _set(basis, np.asarray(mesh.points, dtype=np.float64))
+    wanted = _sculpts(mesh.blendshapes)
+    gone = [one.name for one in keys.key_blocks if one != basis and one.name not in wanted]
     for name in gone:
         obj.shape_key_remove(keys.key_blocks[name])
-    for name, (shape, inbetween) in {**wanted, **between}.items():
+    add_shapes(obj, mesh.blendshapes)
+
+
+def _sculpts(shapes: Sequence[Blendshape]) -> dict[str, tuple[Blendshape, Inbetween | None]]:
+    """Name of a key -> what it holds."""
+    between = {
+        key_name(shape.name, inbetween.weight, inbetween.name): (shape, inbetween)
+        for shape in shapes
+        for inbetween in shape.inbetweens
+    }
+    return {**{shape.name: (shape, None) for shape in shapes}, **between}
+
+
+def add_shapes(obj: Any, shapes: Sequence[Blendshape]) -> None:
+    """Shape keys of shapes, beside those of other names; values and drivers of those of the same names stay."""
+    if obj.data.shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
+    keys = obj.data.shape_keys
+    basis = keys.reference_key
+    flat = np.empty(3 * len(basis.data), dtype=np.float32)
+    basis.data.foreach_get("co", flat)
+    points = flat.reshape(-1, 3).astype(np.float64)
+    for name, (shape, inbetween) in _sculpts(shapes).items():
         block = keys.key_blocks.get(name)
         if block is None:
             block = obj.shape_key_add(name=name, from_mix=False)
@@ -112,7 +128,7 @@ def _write_shapes(obj: Any, mesh: Mesh) -> None:
         moved = points.copy()
         moved[shape.point_indices] += offsets
         _set(block, moved)
-    for shape in mesh.blendshapes:
+    for shape in shapes:
         formulas = expressions(tuple(one.weight for one in shape.inbetweens), "value")
         for inbetween in shape.inbetweens:
             block = keys.key_blocks[key_name(shape.name, inbetween.weight, inbetween.name)]

@@ -54,6 +54,11 @@ def unitless(path: Path) -> FaceParts | None:
         parts = FaceParts(name=path.stem, meshes=(mesh,))
     else:
         return None
+    return in_usual_unit(parts)
+
+
+def in_usual_unit(parts: FaceParts) -> FaceParts:
+    """The head in the first usual unit that gives it a plausible size; as it is where none does."""
     tried = (replace(parts, meters_per_unit=metres) for metres in _METRES)
     return next((one for one in tried if not implausible(one)), parts)
 
