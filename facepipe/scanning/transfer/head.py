@@ -18,6 +18,7 @@ from facepipe.importers.scan_hints import hints_of
 from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.rig import implausible
 from facepipe.rig.joint_names import human_joint
+from facepipe.scanning.rebuild.declared import UNITS
 from facepipe.scanning.transfer.pieces import Hints
 from facepipe.scans import LANDMARK_SCHEME, Scan, ScanLandmarks
 from facepipe.verbs.skin.surface import Surface, surface_of
@@ -26,6 +27,7 @@ from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
 _METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # a unit of files that say none: tried in this order
 _FEWEST = 6  # landmarks
+_OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
 
 def unitless(path: Path) -> FaceParts | None:
@@ -106,10 +108,35 @@ class Head:
         if landmarks.known.sum() < _FEWEST:
             what = f"{int(landmarks.known.sum())} of 68 are known, expected {_FEWEST} or more"
             raise InputError(f"{where} -> landmarks", what)
-        surface = surface_of(parts, where)
-        return cls(
-            where=where, parts=parts, points=points, surface=surface, landmarks=landmarks, source=source, notes=notes
+        head = cls(
+            where=where,
+            parts=parts,
+            points=points,
+            surface=surface_of(parts, where),
+            landmarks=landmarks,
+            source=source,
+            notes=notes,
         )
+        head.check_landmarks()
+        return head
+
+    def check_landmarks(self) -> None:
+        """Check that landmarks lie about on the head: in another unit or place they would be fitted for nothing.
+
+        :raises InputError: most don't
+        """
+        marks, mm = self.landmarks.points[self.landmarks.known], 1000.0 * self.parts.meters_per_unit
+        size = float(np.linalg.norm(np.ptp(marks, axis=0)))
+
+        def off(scale: float) -> float:
+            """Median distance from the head, of the landmarks' size, if they are taken as so much larger."""
+            nearest = closest_places(marks * scale, self.sewn, self.surface.triangles)
+            return float(np.median(nearest.distances)) / max(size * scale, np.finfo(np.float64).tiny)
+
+        if (away := off(1.0)) > _OFF:
+            meant = [f"; taken in {name} they would" for name, unit in UNITS.items() if off(unit / mm) <= _OFF]
+            what = f"they lie {away * size:.3g} mm from it, expected on it, in its own coordinates (units of {mm:g} mm)"
+            raise InputError(f"{self.where} -> landmarks", what + "".join(meant[:1]))
 
     @cached_property
     def sewn(self) -> FloatArray:

@@ -43,6 +43,7 @@ class TransferReport(Report):
     landmarks: str  # where they come from
     fit_mean_mm: float  # between the face of the head and the template that was fitted to it
     fit_p95_mm: float
+    fit_coverage: float  # share of the template's face that lies on the head
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
     not_made: Mapping[str, str]  # shape -> why it can't be
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
@@ -148,7 +149,8 @@ def transfer(
         landmarks=head.source,
         fit_mean_mm=fit.report.quality.surface_mean_mm,
         fit_p95_mm=fit.report.quality.surface_p95_mm,
-        shapes={one.name: _row(one, made.deltas) for one in made.verdicts},
+        fit_coverage=fit.report.quality.coverage,
+        shapes={one.name: _row(one, made.deltas, fit.place.scale) for one in made.verdicts},
         not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
         kept=kept,
         regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
@@ -166,11 +168,14 @@ def _done(step: Callable[[], object]) -> None:
     step()
 
 
-def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray]) -> dict[str, object]:
-    """A shape's verdict and figures."""
+def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray], scale: float) -> dict[str, object]:
+    """A shape's verdict and figures.
+
+    :param scale: millimetres of the template in a unit of `deltas`: a head may be in a wrong unit
+    """
     row: dict[str, object] = {"verdict": one.verdict}
     if one.name in deltas:
-        row["largest_mm"] = float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
+        row["largest_mm"] = scale * float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
     return row | ({} if one.lids is None else {"lids": asdict(one.lids)})
 
 
@@ -227,7 +232,8 @@ def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
     parts, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
     own = bare_head(parts)
     if own is None:
-        raise InputError(where, "another topology than the built-in head's, which people are known of")
+        what = "another topology than the built-in head's, expected one of `facepipe sample` or made of it: only of "
+        raise InputError(f"{where} -> --from", f"{what}that is known how people differ, which a fit to any head needs")
     database = people(own)
     return Template.of(parts, where).body(database.topology), database
 

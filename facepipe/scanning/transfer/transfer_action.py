@@ -43,7 +43,10 @@ class TransferAction(StageAction["TransferReport"]):
 
     head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     template: Path | None = source(
-        "face stage with multipie68 landmarks (default the built-in head)", default=None, flag="--from", metavar="FACE"
+        "face on the built-in head's topology, with shapes (default that head)",
+        default=None,
+        flag="--from",
+        metavar="FACE",
     )
     landmarks: Path | None = source(
         "landmarks of the head (default HEAD's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
