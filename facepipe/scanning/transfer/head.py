@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.vectors import transformed
-from facepipe.importers.scan_file import scan_of
+from facepipe.importers.scan_file import USD, scan_of
 from facepipe.importers.scan_hints import hints_of
 from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.rig import implausible
@@ -30,10 +30,11 @@ _FEWEST = 6  # landmarks
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
 
-def unitless(path: Path) -> FaceParts | None:
-    """The head of a file that says no unit, in the first usual one that gives it a plausible size; None: another.
+def made_head(path: Path) -> FaceParts | None:
+    """The head of a file that says no unit, in the first usual one that gives it a plausible size, and of a USD file
+    that no facepipe made; None: another, which is read as any face is.
 
-    :raises InputError: a file that can't be used, or a cloud of points
+    :raises FacepipeError: a file that can't be used, or a cloud of points
     """
     suffix = path.suffix.lower()
     if suffix == ".obj":
@@ -55,9 +56,22 @@ def unitless(path: Path) -> FaceParts | None:
         )
         parts = FaceParts(name=path.stem, meshes=(mesh,))
     else:
-        return None
+        return _of_other_stage(path) if suffix in USD else None
     tried = (replace(parts, meters_per_unit=metres) for metres in _METRES)
     return next((one for one in tried if not implausible(one)), parts)
+
+
+def _of_other_stage(path: Path) -> FaceParts | None:
+    """What is imported of a stage without a face."""
+    from facepipe.core import tokens
+    from facepipe.importers import load
+    from facepipe.stage.files import open_stage
+    from facepipe.stage.prims import is_applied
+
+    stage = open_stage(path)
+    if any(is_applied(prim, tokens.FACE_API) for prim in stage.Traverse()):
+        return None
+    return load("usd", path).parts
 
 
 def read_head(path: Path) -> FaceParts:
@@ -67,7 +81,7 @@ def read_head(path: Path) -> FaceParts:
     """
     from facepipe.importers import read_face
 
-    parts = unitless(path)
+    parts = made_head(path)
     return read_face(path).parts() if parts is None else parts
 
 

@@ -16,7 +16,7 @@ from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Recipe, Slider, all_regions
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
-from facepipe.scanning.database import FaceDatabase
+from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
 from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_inside_fitted
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
@@ -33,6 +33,8 @@ from facepipe.verbs.skin.skin_face import SkinFace
 from facepipe.verbs.whole_faces import Topology, to_millimetres, whole_face
 
 _Key = TypeVar("_Key")
+# of the fit: people and stylised heads are well within them
+_RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
 
@@ -51,6 +53,7 @@ class TransferReport(Report):
     sliders: tuple[str, ...] = ()
     joints: int = 0
     authored: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()  # what of the fit is out of the range of people, one line each
     shown: Any = not_in_json()  # (n,) whole points that are no hair, clothes or helpers
     place: Any = not_in_json()  # `Similarity` from whole points to the template's place
     framing: Any = not_in_json()  # (68, 3) landmarks there, of which pictures are taken
@@ -136,6 +139,7 @@ def transfer(
         own = whole_face(body.parts, body.where).deltas
         skin_deltas = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step)).deltas
         made, face_points = whole_shapes(head, skin, body, fit, own, skin_deltas)
+    missed = tuple(f"fit: {line}: is this a face?" for line in misses(fit.report.quality, _RANGE))
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -157,10 +161,11 @@ def transfer(
         joints=len(after.skeleton.joints) if joints else 0,
         sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
         authored=authored.authored,
+        missed=missed,
         shown=head.whole(face_points),
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
+        warnings=(*missed, *head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
     )
 
 

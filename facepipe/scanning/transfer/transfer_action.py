@@ -9,7 +9,7 @@ else they are those of HEAD itself, else they are found on it, which needs `pip 
 
 OUT is an override layer over HEAD where that is a stage; --flatten, --cut-mouth and any other HEAD give a standalone
 one. What can't be made is named, shape by shape: blinks of painted eyes, a tongue that is not there. Exit code 1: done,
-but some shape that was asked for could not be made.
+but some shape that was asked for could not be made, or the head is so far from all people that shapes need a look.
 
 examples:
   facepipe transfer head.glb -o head_arkit.glb --picture shapes.png
@@ -76,10 +76,10 @@ class TransferAction(StageAction["TransferReport"]):
             raise InputError("--shapes", "given with --only without shapes, expected one or the other")
 
     def made_base(self) -> FaceParts | None:
-        from facepipe.scanning.transfer.head import Head, read_head, unitless
+        from facepipe.scanning.transfer.head import Head, made_head, read_head
 
         if not self.cut_mouth:
-            return unitless(Path(self.head))
+            return made_head(Path(self.head))
         from facepipe.scanning.transfer.cut import with_cut_mouth
 
         return with_cut_mouth(Head.of(read_head(Path(self.head)), str(self.head), self.landmarks))
@@ -101,7 +101,7 @@ class TransferAction(StageAction["TransferReport"]):
             )
 
     def missed(self, report: TransferReport) -> bool:
-        return bool(report.not_made)
+        return bool(report.not_made or report.missed)
 
     def draw(self, face: Face, report: TransferReport, path: Path) -> None:
         """The picture of all shapes."""
