@@ -1208,7 +1208,7 @@ def transfer(
     """Give a head of others the shapes of a template: `facepipe transfer`.
 
     :param head: head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD
-    :param template: face stage with multipie68 landmarks (default the built-in head)
+    :param template: face on the built-in head's topology, with shapes (default that head)
     :param landmarks: landmarks of the head (default HEAD's .landmarks.json)
     :param shapes: shapes of the template to bring (default ARKit's 52; all: every one)
     :param only: bring these alone

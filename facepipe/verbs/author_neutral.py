@@ -25,6 +25,7 @@ from facepipe.verbs.whole_faces import check_spaces, to_millimetres
 _Shape = TypeVar("_Shape", Blendshape, Inbetween)
 
 _STILL_MM = 1e-4  # points that a shape moves by less stay where they are
+_STILL_SHARE = 5e-7  # the same of a face's size: one in a wrong unit may be smaller than a millimetre
 _STILL = 1e-9  # of the face's size: rounding
 _FAR = 3.0  # spreads of its points that a joint may be away from them and still turn about them
 
@@ -78,12 +79,14 @@ class AuthorNeutral:
         """The face with whole `points` (n, 3), for who authors more beside them."""
         cuts = np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1]
         points_by_mesh = np.split(np.asarray(points, np.float64), cuts)
-        deltas = {name: np.split(np.asarray(delta, np.float64), cuts) for name, delta in self.shapes.items()}
+        size = float(np.ptp(points, axis=0).max(initial=0.0))
+        moves = {name: _moves(np.asarray(delta, np.float64), size) for name, delta in self.shapes.items()}
+        deltas = {name: np.split(delta, cuts) for name, delta in moves.items()}
         meshes, skeleton_space = [], []
         # shapes that move no point -> meshes that hold them all the same, so that what drives them finds them
         still: dict[str, list[str]] = {}
-        for name, delta in self.shapes.items():
-            if np.linalg.norm(delta, axis=1).max(initial=0.0) < _STILL_MM:
+        for name, delta in moves.items():
+            if not delta.any():
                 holding = [mesh.name for mesh in parts.meshes if any(one.name == name for one in mesh.blendshapes)]
                 still[name] = holding or [parts.meshes[0].name]
         spaces = zip(parts.meshes, to_millimetres(parts), mesh_spaces(parts), strict=True)
@@ -117,6 +120,15 @@ def _normals(mesh: Mesh, points: FloatArray) -> FloatArray | None:
     return blend_normals([mesh.normals], before[None], after, np.ones((len(rows), 1)))
 
 
+def _moves(delta: FloatArray, size: float) -> FloatArray:
+    """A delta (n, 3), millimetres, without the points that stay where they are.
+
+    :param size: of the face
+    """
+    least = min(_STILL_MM, _STILL_SHARE * size)
+    return np.where(np.linalg.norm(delta, axis=1, keepdims=True) >= least, delta, 0.0)
+
+
 def _mesh_shapes(
     mesh: Mesh, points: FloatArray, deltas: Mapping[str, tuple[FloatArray, bool]], back: FloatArray
 ) -> tuple[Blendshape, ...]:
@@ -140,7 +152,7 @@ def _mesh_shapes(
             continue
         delta, held = deltas[name]
         with_normals = old is not None and old.normal_offsets is not None
-        moving = np.linalg.norm(delta, axis=1) >= _STILL_MM
+        moving = delta.any(axis=1)
         indices = np.flatnonzero(moving)
         if with_normals:
             # neighbours of points that move are there too: their normals turn
@@ -148,7 +160,7 @@ def _mesh_shapes(
         if not len(indices) and held:
             indices = np.zeros(1, np.int64)  # USD reads a shape without indices as one over all points
         if len(indices):
-            offsets = np.where(moving[indices, None], delta[indices], 0.0) @ back.T
+            offsets = delta[indices] @ back.T
             shape = Blendshape(name=name, point_indices=indices.astype(np.int32), offsets=offsets)
             if with_normals:
                 turned = _shape_normals(shape.point_indices, offsets, points, triangles)

@@ -76,6 +76,8 @@ class Carrier:
         """(m, 3) delta of the head, in its own coordinates, of a whole delta (n, 3) of the template."""
         moved = self._neutral + delta[self._template.rows]
         on_rows = self._transfer.solve(self._neutral[None], moved[None]) - self._rows
+        # gradients leave a drift of hundredths of a millimetre over the whole head, which would make every shape dense
+        on_rows[~delta[self._template.rows].any(axis=1)] = 0.0
         on_head = self._fill.filled(self.places.of(on_rows))
         place = self._fit.place
         return np.asarray((on_head @ place.rotation / place.scale)[self._fit.head.group])

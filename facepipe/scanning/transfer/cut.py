@@ -9,6 +9,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
+from facepipe.scanning.transfer.finish import mouth_is_sealed
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.mouth import cut_mouth
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
@@ -39,6 +40,11 @@ def with_cut_mouth(head: Head) -> FaceParts:
         ]
     )
     scale = _WIDTH_MM / width
+    lips, skin = marks[48:68], head.skin()
+    if np.isfinite(lips).all() and not mouth_is_sealed(
+        head.sewn[skin] * scale, head.surface.part_triangles(skin), marks * scale
+    ):
+        raise FitError(where, "the lips are open already, expected a mouth that triangles seal for --cut-mouth")
     try:
         cut = cut_mouth(head.sewn * scale, counts, corners, marks * scale)
     except FitError as error:

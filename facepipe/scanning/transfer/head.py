@@ -13,11 +13,12 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.vectors import transformed
-from facepipe.importers.scan_file import scan_of
+from facepipe.importers.scan_file import USD, scan_of
 from facepipe.importers.scan_hints import hints_of
 from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.rig import implausible
 from facepipe.rig.joint_names import human_joint
+from facepipe.scanning.rebuild.declared import UNITS
 from facepipe.scanning.transfer.pieces import Hints
 from facepipe.scans import LANDMARK_SCHEME, Scan, ScanLandmarks
 from facepipe.verbs.skin.surface import Surface, surface_of
@@ -26,12 +27,14 @@ from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
 _METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # a unit of files that say none: tried in this order
 _FEWEST = 6  # landmarks
+_OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
 
-def unitless(path: Path) -> FaceParts | None:
-    """The head of a file that says no unit, in the first usual one that gives it a plausible size; None: another.
+def made_head(path: Path) -> FaceParts | None:
+    """The head of a file that says no unit, in the first usual one that gives it a plausible size, and of a USD file
+    that no facepipe made; None: another, which is read as any face is.
 
-    :raises InputError: a file that can't be used, or a cloud of points
+    :raises FacepipeError: a file that can't be used, or a cloud of points
     """
     suffix = path.suffix.lower()
     if suffix == ".obj":
@@ -53,7 +56,7 @@ def unitless(path: Path) -> FaceParts | None:
         )
         parts = FaceParts(name=path.stem, meshes=(mesh,))
     else:
-        return None
+        return _of_other_stage(path) if suffix in USD else None
     return in_usual_unit(parts)
 
 
@@ -63,6 +66,19 @@ def in_usual_unit(parts: FaceParts) -> FaceParts:
     return next((one for one in tried if not implausible(one)), parts)
 
 
+def _of_other_stage(path: Path) -> FaceParts | None:
+    """What is imported of a stage without a face."""
+    from facepipe.core import tokens
+    from facepipe.importers import load
+    from facepipe.stage.files import open_stage
+    from facepipe.stage.prims import is_applied
+
+    stage = open_stage(path)
+    if any(is_applied(prim, tokens.FACE_API) for prim in stage.Traverse()):
+        return None
+    return load("usd", path).parts
+
+
 def read_head(path: Path) -> FaceParts:
     """The head in any file.
 
@@ -70,7 +86,7 @@ def read_head(path: Path) -> FaceParts:
     """
     from facepipe.importers import read_face
 
-    parts = unitless(path)
+    parts = made_head(path)
     return read_face(path).parts() if parts is None else parts
 
 
@@ -111,10 +127,35 @@ class Head:
         if landmarks.known.sum() < _FEWEST:
             what = f"{int(landmarks.known.sum())} of 68 are known, expected {_FEWEST} or more"
             raise InputError(f"{where} -> landmarks", what)
-        surface = surface_of(parts, where)
-        return cls(
-            where=where, parts=parts, points=points, surface=surface, landmarks=landmarks, source=source, notes=notes
+        head = cls(
+            where=where,
+            parts=parts,
+            points=points,
+            surface=surface_of(parts, where),
+            landmarks=landmarks,
+            source=source,
+            notes=notes,
         )
+        head.check_landmarks()
+        return head
+
+    def check_landmarks(self) -> None:
+        """Check that landmarks lie about on the head: in another unit or place they would be fitted for nothing.
+
+        :raises InputError: most don't
+        """
+        marks, mm = self.landmarks.points[self.landmarks.known], 1000.0 * self.parts.meters_per_unit
+        size = float(np.linalg.norm(np.ptp(marks, axis=0)))
+
+        def off(scale: float) -> float:
+            """Median distance from the head, of the landmarks' size, if they are taken as so much larger."""
+            nearest = closest_places(marks * scale, self.sewn, self.surface.triangles)
+            return float(np.median(nearest.distances)) / max(size * scale, np.finfo(np.float64).tiny)
+
+        if (away := off(1.0)) > _OFF:
+            meant = [f"; taken in {name} they would" for name, unit in UNITS.items() if off(unit / mm) <= _OFF]
+            what = f"they lie {away * size:.3g} mm from it, expected on it, in its own coordinates (units of {mm:g} mm)"
+            raise InputError(f"{self.where} -> landmarks", what + "".join(meant[:1]))
 
     @cached_property
     def sewn(self) -> FloatArray:

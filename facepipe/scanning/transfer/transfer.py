@@ -16,7 +16,7 @@ from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Recipe, Slider, all_regions
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
-from facepipe.scanning.database import FaceDatabase
+from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
 from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_inside_fitted
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
@@ -34,6 +34,8 @@ from facepipe.verbs.skin.skin_face import SkinFace
 from facepipe.verbs.whole_faces import Topology, to_millimetres, whole_face
 
 _Key = TypeVar("_Key")
+# of the fit: people and stylised heads are well within them
+_RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
 
@@ -44,6 +46,7 @@ class TransferReport(Report):
     landmarks: str  # where they come from
     fit_mean_mm: float  # between the face of the head and the template that was fitted to it
     fit_p95_mm: float
+    fit_coverage: float  # share of the template's face that lies on the head
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
     not_made: Mapping[str, str]  # shape -> why it can't be
     lips: LipFigures | None = None  # with jawOpen and mouthClose together, where both were made
@@ -52,6 +55,7 @@ class TransferReport(Report):
     sliders: tuple[str, ...] = ()
     joints: int = 0
     authored: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()  # what of the fit is out of the range of people, one line each
     shown: Any = not_in_json()  # (n,) whole points that are no hair, clothes or helpers
     place: Any = not_in_json()  # `Similarity` from whole points to the template's place
     framing: Any = not_in_json()  # (68, 3) landmarks there, of which pictures are taken
@@ -139,6 +143,7 @@ def transfer(
         brought = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step))
         made, face_points = whole_shapes(head, skin, body, fit, own, brought.deltas)
         lips = _lips(made, head, skin, fit, brought.sides)
+    missed = tuple(f"fit: {line}: is this a face?" for line in misses(fit.report.quality, _RANGE))
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -152,6 +157,7 @@ def transfer(
         landmarks=head.source,
         fit_mean_mm=fit.report.quality.surface_mean_mm,
         fit_p95_mm=fit.report.quality.surface_p95_mm,
+        fit_coverage=fit.report.quality.coverage,
         shapes={one.name: _row(one, made.deltas, fit.place.scale) for one in made.verdicts},
         not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
         kept=kept,
@@ -160,10 +166,11 @@ def transfer(
         sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
         lips=lips,
         authored=authored.authored,
+        missed=missed,
         shown=head.whole(face_points),
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
+        warnings=(*missed, *head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
     )
 
 
@@ -243,7 +250,8 @@ def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
     parts, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
     own = bare_head(parts)
     if own is None:
-        raise InputError(where, "another topology than the built-in head's, which people are known of")
+        what = "another topology than the built-in head's, expected one of `facepipe sample` or made of it: only of "
+        raise InputError(f"{where} -> --from", f"{what}that is known how people differ, which a fit to any head needs")
     database = people(own)
     return Template.of(parts, where).body(database.topology), database
 

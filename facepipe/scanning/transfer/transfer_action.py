@@ -9,9 +9,9 @@ else they are those of HEAD itself, else they are found on it, which needs `pip 
 
 OUT is an override layer over HEAD where that is a stage; --flatten, --cut-mouth and any other HEAD give a standalone
 one. What can't be made is named, shape by shape: blinks of painted eyes, a tongue that is not there. Exit code 1: done,
-but some shape that was asked for could not be made. --json has a row a shape: verdict, largest_mm, flips (triangles
-of the skin, seen in the neutral, that turn over) and, of blinks, lids (gaps, and depths in the eyeball, mm); --report
-makes a page of it.
+but some shape that was asked for could not be made, or the head is so far from all people that shapes need a look.
+--json has a row a shape: verdict, largest_mm, flips (triangles of the skin, seen in the neutral, that turn over) and,
+of blinks, lids (gaps, and depths in the eyeball, mm); --report makes a page of it.
 
 examples:
   facepipe transfer head.glb -o head_arkit.glb --picture shapes.png
@@ -46,7 +46,10 @@ class TransferAction(StageAction["TransferReport"]):
 
     head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     template: Path | None = source(
-        "face stage with multipie68 landmarks (default the built-in head)", default=None, flag="--from", metavar="FACE"
+        "face on the built-in head's topology, with shapes (default that head)",
+        default=None,
+        flag="--from",
+        metavar="FACE",
     )
     landmarks: Path | None = source(
         "landmarks of the head (default HEAD's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
@@ -77,10 +80,10 @@ class TransferAction(StageAction["TransferReport"]):
             raise InputError("--shapes", "given with --only without shapes, expected one or the other")
 
     def made_base(self) -> FaceParts | None:
-        from facepipe.scanning.transfer.head import Head, read_head, unitless
+        from facepipe.scanning.transfer.head import Head, made_head, read_head
 
         if not self.cut_mouth:
-            return unitless(Path(self.head))
+            return made_head(Path(self.head))
         from facepipe.scanning.transfer.cut import with_cut_mouth
 
         return with_cut_mouth(Head.of(read_head(Path(self.head)), str(self.head), self.landmarks))
@@ -102,7 +105,7 @@ class TransferAction(StageAction["TransferReport"]):
             )
 
     def missed(self, report: TransferReport) -> bool:
-        return bool(report.not_made)
+        return bool(report.not_made or report.missed)
 
     def draw(self, face: Face, report: TransferReport, path: Path) -> None:
         """The picture of all shapes."""
