@@ -152,7 +152,7 @@ def _mesh_shapes(
             continue
         delta, held = deltas[name]
         with_normals = old is not None and old.normal_offsets is not None
-        moving = delta.any(axis=1)
+        moving = np.asarray(delta.any(axis=1), bool)
         indices = np.flatnonzero(moving)
         if with_normals:
             # neighbours of points that move are there too: their normals turn
