@@ -66,8 +66,8 @@ class FACEPIPE_OT_transfer(bpy.types.Operator):  # noqa: N801  (Blender's way to
             self.report({"INFO"}, line)
         for line in report.warnings:
             self.report({"WARNING"}, line)
-        if report.not_made:
-            self.report({"WARNING"}, f"{name}: can't have {', '.join(report.not_made)}")
+        if not_made := report.to_dict()["not_made"]:
+            self.report({"WARNING"}, f"{name}: can't have {', '.join(not_made)}")
         self.report({"INFO"}, f"{name}: {len(added)} shapes added")
         return {"FINISHED"} if added else {"CANCELLED"}
 

@@ -320,6 +320,18 @@ class _Writer:
         accessor = self.buffers.add(inverse_binds.astype(np.float32), "matrices")
         return joints, [{"name": skeleton.name, "joints": joints.of_joint, "inverseBindMatrices": accessor}]
 
+    def _extras(self) -> Json | None:
+        """The record, which puts a view of its own into the buffers; None: there is none."""
+        if self.record is None:
+            return None
+        entry, block = packed(self.record)
+        return {"facepipe": entry | {"bufferView": self.buffers.add_bytes(block)}}
+
+    def _uncolored(self) -> list[str]:
+        """A line for meshes whose display colours are left out."""
+        named = f"display colours of {listed_meshes(self.uncolored)}: the materials' colours are shown"
+        return [named] if self.uncolored else []
+
     def _assemble(
         self,
         scene: list[int],
@@ -329,12 +341,7 @@ class _Writer:
         shapes: Sequence[str],
     ) -> Document:
         textures = self.materials.textures
-        uncolored = f"display colours of {listed_meshes(self.uncolored)}: the materials' colours are shown"
-        # before the buffers are finished: the record puts a view of its own into them
-        extras = None
-        if self.record is not None:
-            entry, block = packed(self.record)
-            extras = {"facepipe": entry | {"bufferView": self.buffers.add_bytes(block)}}
+        extras = self._extras()  # before the buffers are finished
         views, binary = self.buffers.finish()
         asset = {"version": "2.0", "generator": f"facepipe {__version__}"}
         if self.parts.attribution:
@@ -355,8 +362,8 @@ class _Writer:
             "extensionsUsed": sorted([*self.materials.extensions, *required, *([_LODS] if self.levels else [])]),
             "extensionsRequired": required,
         }
-        scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
-        document: Json = {"asset": asset, "scene": 0, "scenes": [scene_entry]}
+        scenes: list[Json] = [{"name": self.parts.name} | ({"nodes": scene} if scene else {})]
+        document: Json = {"asset": asset, "scene": 0, "scenes": scenes}
         # the schema knows no empty lists: one item or more, or no key
         document |= {key: value for key, value in lists.items() if value}
         if VARIANTS in self.materials.extensions:
@@ -377,7 +384,7 @@ class _Writer:
             ),
             dropped=(
                 *dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
-                *([uncolored] if self.uncolored else []),
+                *self._uncolored(),
             ),
             error_mm=self._error_mm(meshes),
             places=self._places(meshes, skins),

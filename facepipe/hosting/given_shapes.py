@@ -6,20 +6,17 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from facepipe.actions import find_action
 from facepipe.core.errors import FacepipeError
-from facepipe.core.reports import Watch, unwatched
+from facepipe.core.reports import Report, Watch, unwatched
 from facepipe.parts import FaceParts
 from facepipe.performing import perform
 from facepipe.rig import implausible
-from facepipe.scanning.transfer.head import in_usual_unit
-from facepipe.scanning.transfer.transfer import TransferReport
-from facepipe.scanning.transfer.transfer_action import TransferAction
+from facepipe.rig.plausibility import in_usual_unit
 from facepipe.stage import open_face, save_parts
 
 
-def with_given_shapes(
-    parts: FaceParts, landmarks: Path | None, watch: Watch = unwatched
-) -> tuple[FaceParts, TransferReport]:
+def with_given_shapes(parts: FaceParts, landmarks: Path | None, watch: Watch = unwatched) -> tuple[FaceParts, Report]:
     """The head with those of ARKit's shapes beside its own that it lacks and can have; and what was made.
 
     :param landmarks: multipie68 in JSON, in the head's coordinates; None: they are found, which needs torch
@@ -30,11 +27,12 @@ def with_given_shapes(
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         head, out = Path(folder) / "head.usdc", Path(folder) / "with_shapes.usdc"
         save_parts(parts, head)
-        action = TransferAction(head=head, landmarks=landmarks, only=("shapes",))
+        kind = find_action("transfer")
+        assert kind is not None
+        action = kind(head=head, landmarks=landmarks, only=("shapes",))  # type: ignore[call-arg]
         try:
             report = perform(action, out, watch=watch).report
         except FacepipeError as error:  # the host knows the head, and not its file
             raise type(error)(error.where.replace(f"{head} -> </{parts.name}>", parts.name), error.what) from None
-        assert isinstance(report, TransferReport)
         warnings = tuple(line.replace(f"</{parts.name}>", parts.name) for line in report.warnings)
         return open_face(out).parts(), replace(report, warnings=warnings)

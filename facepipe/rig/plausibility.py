@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
@@ -20,6 +22,7 @@ _LONGEST = 3.0  # metres that a body is long
 _BODY_DEPTH = 0.05  # of its height, at least
 _HEAD_PROPORTION = 1 / 3  # shortest side of a bounding box by the longest
 _UPRIGHT_COSINE = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
+_METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # units of files that say none: tried in this order
 _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
 
 
@@ -59,6 +62,12 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
         return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
     return (*_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM), *_stance(marks, parts.up_axis))
+
+
+def in_usual_unit(parts: FaceParts) -> FaceParts:
+    """The face in the first usual unit that gives it a plausible size; as it is where none does."""
+    tried = (replace(parts, meters_per_unit=metres) for metres in _METRES)
+    return next((one for one in tried if not implausible(one)), parts)
 
 
 def _avatar(head: FloatArray, hips: FloatArray, points: FloatArray, unit: float, up_axis: str) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import __version__, tokens
 from facepipe.core.arrays import require_finite
@@ -88,9 +88,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     skeleton = author_skeleton(stage, path.AppendChild(identifier(parts.skeleton.name)), parts.skeleton)
     if parts.bone_limits:
         author_limits(skeleton.GetPrim(), parts.bone_limits)
-    scope = path.AppendChild(tokens.MATERIALS_SCOPE)
-    materials = author_materials(stage, scope, parts.materials, textures or {}) if parts.materials else {}
-    bindings = Bindings(parts.name, materials, {material.name: material.variants for material in parts.materials})
+    bindings = _materials(stage, path.AppendChild(tokens.MATERIALS_SCOPE), parts, textures or {})
     taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
     taken += [tokens.PHOTOS_SCOPE] if parts.photos else []
     # a mesh called like the Skeleton or a scope would be defined as that very prim
@@ -116,3 +114,9 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     if parts.recipe:
         author_recipe(prim, parts.recipe)
     return stage
+
+
+def _materials(stage: Usd.Stage, scope: Sdf.Path, parts: FaceParts, textures: dict[str, str]) -> Bindings:
+    """The face's materials, defined below `scope`, to be bound to its meshes."""
+    materials = author_materials(stage, scope, parts.materials, textures) if parts.materials else {}
+    return Bindings(parts.name, materials, {material.name: material.variants for material in parts.materials})

@@ -16,8 +16,8 @@ from facepipe.geometry.vectors import transformed
 from facepipe.importers.scan_file import USD, scan_of
 from facepipe.importers.scan_hints import hints_of
 from facepipe.parts import FaceParts, Mesh, exact
-from facepipe.rig import implausible
 from facepipe.rig.joint_names import human_joint
+from facepipe.rig.plausibility import in_usual_unit
 from facepipe.scanning.rebuild.declared import UNITS
 from facepipe.scanning.transfer.pieces import Hints
 from facepipe.scans import LANDMARK_SCHEME, Scan, ScanLandmarks
@@ -25,7 +25,6 @@ from facepipe.verbs.skin.surface import Surface, surface_of
 from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points, world_to_world
 
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
-_METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # a unit of files that say none: tried in this order
 _FEWEST = 6  # landmarks
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
@@ -58,12 +57,6 @@ def made_head(path: Path) -> FaceParts | None:
     else:
         return _of_other_stage(path) if suffix in USD else None
     return in_usual_unit(parts)
-
-
-def in_usual_unit(parts: FaceParts) -> FaceParts:
-    """The head in the first usual unit that gives it a plausible size; as it is where none does."""
-    tried = (replace(parts, meters_per_unit=metres) for metres in _METRES)
-    return next((one for one in tried if not implausible(one)), parts)
 
 
 def _of_other_stage(path: Path) -> FaceParts | None:

@@ -127,15 +127,8 @@ def transfer(
     names, kept = wanted_shapes(body.parts, parts, shapes, anew=anew)
     head = Head.of(parts, face.where, landmarks)
     skin, wanted = head.skin(), only or KINDS
-    fit = fit_head(
-        body,
-        database,
-        head.sewn[skin],
-        head.surface.part_triangles(skin),
-        head.landmarks,
-        name=face.where,
-        progress=lambda number: _done(step),
-    )
+    surface = head.sewn[skin], head.surface.part_triangles(skin), head.landmarks
+    fit = fit_head(body, database, *surface, name=face.where, progress=lambda number: _done(step))
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
     lips = None
     if "shapes" in wanted and names:
@@ -143,7 +136,6 @@ def transfer(
         brought = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step))
         made, face_points = whole_shapes(head, skin, body, fit, own, brought.deltas)
         lips = _lips(made, head, skin, fit, brought.sides)
-    missed = tuple(f"fit: {line}: is this a face?" for line in misses(fit.report.quality, _RANGE))
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -152,25 +144,38 @@ def transfer(
     if joints:
         fitted = AuthorNeutral().changed(body.parts, fit.place.undo(fit.points))
         SkinFace(source=Face.from_parts(fitted))(Face(face.stage, face.prim), recipe=recipe)
-    after = Face(face.stage, face.prim).parts()
-    return TransferReport(
-        landmarks=head.source,
-        fit_mean_mm=fit.report.quality.surface_mean_mm,
-        fit_p95_mm=fit.report.quality.surface_p95_mm,
-        fit_coverage=fit.report.quality.coverage,
-        shapes={one.name: _row(one, made.deltas, fit.place.scale) for one in made.verdicts},
-        not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
+    report = _report(parts, Face(face.stage, face.prim).parts(), head, body, fit, made)
+    return replace(
+        report,
         kept=kept,
-        regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
-        joints=len(after.skeleton.joints) if joints else 0,
-        sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
+        joints=report.joints if joints else 0,
         lips=lips,
         authored=authored.authored,
-        missed=missed,
         shown=head.whole(face_points),
+        warnings=(*report.warnings, *authored.warnings),
+    )
+
+
+def _report(
+    before: FaceParts, after: FaceParts, head: Head, body: Template, fit: HeadFit, made: Finished
+) -> TransferReport:
+    """What is known of a transfer by the head before and after it."""
+    quality = fit.report.quality
+    missed = tuple(f"fit: {line}: is this a face?" for line in misses(quality, _RANGE))
+    return TransferReport(
+        landmarks=head.source,
+        fit_mean_mm=quality.surface_mean_mm,
+        fit_p95_mm=quality.surface_p95_mm,
+        fit_coverage=quality.coverage,
+        shapes={one.name: _row(one, made.deltas, fit.place.scale) for one in made.verdicts},
+        not_made={one.name: one.verdict.removeprefix("not made: ") for one in made.verdicts if not one.made},
+        regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(before.meshes)),
+        joints=len(after.skeleton.joints),
+        sliders=tuple(one.name for one in after.sliders if one not in before.sliders),
+        missed=missed,
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*missed, *head.notes, *fit.report.warnings, *made.notes, *authored.warnings),
+        warnings=(*missed, *head.notes, *fit.report.warnings, *made.notes),
     )
 
 
