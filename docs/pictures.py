@@ -262,7 +262,8 @@ def own_head(folder: Path) -> Image.Image:
         out = folder / f"{head.stem}.usdc"
         report = facepipe.transfer(head, out=out)
         drawn += expressions(name, facepipe.open(out).parts(), report)
-    return contact_sheet(drawn, columns=len(drawn) // len(given)).quantize(256)  # a third of the file
+    sheet = contact_sheet(drawn, columns=len(drawn) // len(given)).convert("RGB")
+    return sheet.quantize(palette=sheet.quantize(256))  # half the file
 
 
 @of_docs
