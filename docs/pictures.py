@@ -1,7 +1,8 @@
 """Draws the pictures of the docs: `python docs/pictures.py [NAME ...]`, all of them without names; `--list` lists them.
 
 Those of scans and photos need ../shared/data, those of browsers node and chromium (and `npm ci` in tests/support/js),
-some the extras `train` and `lod`. People are of `facepipe sample`.
+that of Blender FACEPIPE_BLENDER_PYTHON, a Python with bpy, some the extras `train` and `lod`. People are of
+`facepipe sample`.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import functools
 import json
+import os
 import runpy
 import shutil
 import subprocess
@@ -56,6 +58,7 @@ DATA = HERE.parents[1] / "shared" / "data"
 SCAN, PHOTO = DATA / "scans" / "LeePerrySmith.glb", DATA / "photos" / "astronaut.png"
 ICT = DATA / "ict_facekit" / "ict_facekit.npz"
 HEADS, SAMPLES = DATA / "heads", HERE.parent / "samples"
+BODY = HEADS / "makehuman_base_body.obj"
 SCRIPTS = HERE.parent / "tests" / "support" / "js"
 
 Drawing = Callable[[Path], Image.Image]
@@ -371,6 +374,29 @@ def expressions(name: str, parts: FaceParts, report: TransferReport) -> list[tup
     screen = np.concatenate([screen[:, :2] / screen[:, 3:], screen[:, 3:]], axis=1)
     images[0].paste((24, 44, 96), (0, 0), wireframe(placed, screen, images[0].size))
     return list(zip(weights, images, strict=True))
+
+
+@of_docs
+def blender(folder: Path) -> Image.Image:
+    """MakeHuman's body in Blender: as it came, and with shapes that the button added, drawn by Cycles."""
+    marks = folder / "body.landmarks.json"
+    facepipe.scan_landmarks(BODY, out=marks)
+    poses: dict[str, dict[str, float]] = {
+        "as it came": {},
+        "jawOpen": {"jawOpen": 0.8},
+        "mouthSmile, cheekSquint": both(1.0, "mouthSmile") | both(0.7, "cheekSquint"),
+        "eyeBlink, mouthPucker": both(1.0, "eyeBlink") | {"mouthPucker": 1.0},
+    }
+    root, scripts = HERE.parent, SCRIPTS.parent / "blender"
+    paths = map(str, (root, root / "schemas", root / "exporters", scripts))
+    words = [json.dumps(one) for one in (str(BODY), str(marks), [*poses.values()], str(folder))]
+    subprocess.run(
+        [os.environ["FACEPIPE_BLENDER_PYTHON"], scripts / "draw_head.py", *words],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        check=True,
+    )
+    drawn = [(name, Image.open(folder / f"{number}.png").convert("RGB")) for number, name in enumerate(poses)]
+    return contact_sheet(drawn, columns=4)
 
 
 def person(folder: Path, seed: int, name: str = "anna") -> Path:
