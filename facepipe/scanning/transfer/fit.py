@@ -73,13 +73,14 @@ def fit_head(
         own = landmark_anchors(template, landmarks)
         anchors = own.with_more(replace(rims, targets=place.undo(rims.targets)))
         surface = identity_surface(template, database.identity, options)
-        view = View(scan=scan_target(scan)[0], anchors=anchors, start=place, name=name)
+        target, mended = scan_target(scan)
+        view = View(scan=target, anchors=anchors, start=place, name=name)
         known = np.array(report.coefficients)
         residual = rows - surface.points(known)
         # With its size as found: what rims add says nothing of it.
         solver = replace(options.registration, scale=False)
         found = register_together(surface, [view], known, residual, solver, progress)[0]
-        lines = report.warnings
+        lines = (*scan.warnings, *mended)
         neutral, report = found_neutral(template, database.identity, name, found, anchors.names, lines, {})
         place = found.place
         head = HeadMesh.of(place.apply(scan.points), np.asarray(triangles, np.int64))
