@@ -20,6 +20,7 @@ examples:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ from facepipe.kinds import Job, action
 from facepipe.scanning.rebuild.fit_neutral_action import FittingAction
 
 if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
     from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
     from facepipe.scanning.rebuild.scan_fit import Given
     from facepipe.stage import Face
@@ -49,11 +51,21 @@ class ConformAction(FittingAction):
     def fitted(self) -> Path:
         return Path(self.head)
 
+    @cached_property
+    def _parts(self) -> FaceParts:
+        from facepipe.scanning.transfer.head import read_head
+
+        return read_head(Path(self.head))
+
+    def made_base(self) -> FaceParts | None:
+        _ = self._parts  # read first: the built-in head with its textures takes seconds to make
+        return super().made_base()
+
     def given(self, job: Job) -> Given:
-        from facepipe.scanning.transfer.head import Head, read_head
+        from facepipe.scanning.transfer.head import Head
 
         with job.watch("landmarks", 1) as bar:
-            head = Head.of(read_head(Path(self.head)), str(self.head), self.landmarks)
+            head = Head.of(self._parts, str(self.head), self.landmarks)
             bar.update()
         return head.scan_of_skin(), head.landmarks, head.notes, {}
 

@@ -71,8 +71,8 @@ def fit_head(
     scan = Scan(name=name, points=np.asarray(points, np.float64), triangles=np.asarray(triangles, np.int32))
     landmarks = replace(landmarks, sigma_mm=_HELD * landmarks.sigma_mm)
     neutral, place, report = fit_neutral(template, scan, landmarks, database, options, progress)
-    lines, own = report.warnings, landmark_anchors(template, landmarks)
-    surface, target = identity_surface(template, database.identity, options), scan_target(scan)[0]
+    own, (target, mended) = landmark_anchors(template, landmarks), scan_target(scan)
+    lines, surface = (*scan.warnings, *mended), identity_surface(template, database.identity, options)
     # With its size as found: what rims add says nothing of it.
     solver = replace(options.registration, scale=False)
     triangles = np.asarray(triangles, np.int64)
