@@ -26,6 +26,8 @@ class Program:
         config.consume_fuel = bounded
         if bounded:
             config.memory_reservation = _RESERVED_BYTES
+            # traps by signals end the process where a host has put back its own handlers: `faulthandler.disable` does
+            config.signals_based_traps = False
         self.name, self.extra, self.bounded = path.stem, extra, bounded
         self.engine = wasmtime.Engine(config)
         self.module = wasmtime.Module.from_file(self.engine, str(path))

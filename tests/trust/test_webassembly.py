@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,27 @@ def test_what_must_not_be_ends_it_in_one_line(
     with pytest.raises(InputError, match=f"program: .*({reason})") as caught:
         started(tmp_path, most_steps=10**6).call(name, *arguments)
     assert len(str(caught.value)) < 150
+
+
+def test_what_must_not_be_ends_no_process_whose_signals_are_its_own() -> None:
+    """As a host has them that puts back its handlers once a program has run."""
+    code = f"""
+import faulthandler, sys, tempfile
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_webassembly import started
+faulthandler.enable()
+folder = Path(tempfile.mkdtemp())
+started(folder, most_steps=1000).call("double", 1)
+faulthandler.disable()
+for name, arguments in (("deep", ()), ("outside", ()), ("divides", (0,))):
+    try:
+        started(folder, most_steps=10**6).call(name, *arguments)
+    except Exception as error:
+        print(name, type(error).__name__)
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout.split()[1::2]) == (0, ["InputError"] * 3), run.stderr
 
 
 def test_memory_has_a_cap(tmp_path: Path) -> None:
