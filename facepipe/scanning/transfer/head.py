@@ -25,7 +25,8 @@ from facepipe.verbs.skin.surface import Surface, surface_of
 from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points, world_to_world
 
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
-_METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # a unit of files that say none: tried in this order
+# A unit of files that say none, tried in this order: a body of decimetres would be a plausible one of centimetres too.
+_METRES = (1.0, 0.1, 0.01, 0.001, 0.0254)
 _FEWEST = 6  # landmarks
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
