@@ -22,7 +22,8 @@ _LONGEST = 3.0  # metres that a body is long
 _BODY_DEPTH = 0.05  # of its height, at least
 _HEAD_PROPORTION = 1 / 3  # shortest side of a bounding box by the longest
 _UPRIGHT_COSINE = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
-_METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # units of files that say none: tried in this order
+# Units of files that say none, tried in this order: a body of decimetres would be a plausible one of centimetres too.
+_METRES = (1.0, 0.1, 0.01, 0.001, 0.0254)
 _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
 
 

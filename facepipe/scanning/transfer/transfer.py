@@ -39,6 +39,7 @@ _Key = TypeVar("_Key")
 # landmarks 3.8 and 3.7; a head with a beak of 80 mm 7.7 and 0.8.
 _RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
 _BEYOND_MM, _LANDMARKS_MM = 6.0, 3.0
+_ODD_SIZE = 0.5  # logarithm: children's faces are 0.3 smaller
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
 
@@ -181,7 +182,7 @@ def _report(
         missed=missed,
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*missed, *head.notes, *fit.report.warnings, *made.notes),
+        warnings=(*missed, *head.notes, *_of_fit(fit), *made.notes),
     )
 
 
@@ -193,6 +194,17 @@ def _lips(made: Finished, head: Head, skin: IntArray, fit: HeadFit, sides: IntAr
     together = made.deltas["jawOpen"][skin] + made.deltas["mouthClose"][skin]
     place = fit.place
     return lip_figures(place.apply(head.sewn[skin]), sides, place.scale * together @ place.rotation.T)
+
+
+def _of_fit(fit: HeadFit) -> list[str]:
+    """What a fit warns of; of the unit only where it is wrong, since a head keeps its own."""
+    lines = [line for line in fit.report.warnings if "--unit" not in line and "no usual unit" not in line]
+    scale = fit.place.scale
+    if abs(np.log(scale)) > _ODD_SIZE:
+        lines.append(
+            f"by its face the head is people's size if it is {scale:.3g} times as large: its unit may be wrong"
+        )
+    return lines
 
 
 def out_of_range(fit: FitNeutralReport) -> tuple[str, ...]:

@@ -151,6 +151,20 @@ def test_a_stage_of_another_tool_is_a_head_too(small: FaceParts, tmp_path: Path)
     assert made_head(tmp_path / "face.usda") is None
 
 
+@pytest.mark.parametrize("metres", [1.0, 0.1, 0.01, 0.001])
+@pytest.mark.parametrize(("high", "deep"), [(1.7, 0.3), (0.24, 0.2)])
+def test_bodies_and_heads_without_a_unit_get_one_by_their_size(
+    metres: float, high: float, deep: float, tmp_path: Path
+) -> None:
+    box = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (0.0, 1.0) for z in (-0.5, 0.5)]) * [deep, high, deep]
+    rows = [f"v {x:g} {y:g} {z:g}" for x, y, z in (box / metres).tolist()]
+    faces = ["f 1 2 4 3", "f 5 7 8 6", "f 1 5 6 2", "f 3 4 8 7", "f 1 3 7 5", "f 2 6 8 4"]
+    (tmp_path / "box.obj").write_text("\n".join([*rows, *faces]))
+    parts = made_head(tmp_path / "box.obj")
+    assert parts is not None
+    assert parts.meters_per_unit == metres
+
+
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
