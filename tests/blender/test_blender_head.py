@@ -115,8 +115,9 @@ def test_it_says_what_it_made_and_what_is_wrong(pressed: tuple[Found, str]) -> N
     assert "Head: 51 shapes added" in said
     assert "51 made, 1 the head's own" in said
     assert "usual unit" not in said
-    nothing, lost, mirror, done = found["said"].tolist()
+    nothing, torch, lost, mirror, done = found["said"].tolist()
     assert "no mesh with faces is selected, expected a head" in nothing
+    assert "face of Teeth: finding it needs torch, which Blender's Python lacks, expected a file of landmarks" in torch
     assert "out.json.none: can't be read" in lost
     assert "Teeth: a Mirror modifier makes half of it, expected it applied" in mirror
     assert done == ""
