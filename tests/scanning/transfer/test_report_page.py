@@ -26,6 +26,8 @@ def _report() -> TransferReport:
         landmarks="found on the head",
         fit_mean_mm=0.23,
         fit_p95_mm=0.91,
+        fit_coverage=0.98,
+        beyond_mm=1.2,
         shapes={
             made: {"verdict": "made as carried: lips are sealed", "largest_mm": 12.34, "flips": 7},
             blink: {"verdict": "made", "largest_mm": 9.87, "flips": 0, "lids": vars(_LIDS)},
