@@ -106,7 +106,8 @@ class Head:
         if given is not None:
             from facepipe.importers.scan_landmarks import read_scan_landmarks
 
-            read = read_scan_landmarks(given, replace(_scan(parts, where), hints=hints_of(parts)))
+            # of points alone: pictures of a head may be lost
+            read = read_scan_landmarks(given, Scan(name=where, points=points, hints=hints_of(parts)))
             to = world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
             landmarks, source = ScanLandmarks(points=transformed(read.points, to), sigma_mm=read.sigma_mm), given.name
         elif own is not None:

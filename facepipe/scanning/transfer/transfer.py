@@ -35,10 +35,10 @@ from facepipe.verbs.skin.skin_face import SkinFace
 from facepipe.verbs.whole_faces import Topology, to_millimetres, whole_face
 
 _Key = TypeVar("_Key")
-# Of the fit. A head 5 mm off all people, smoothly, is 3.2 mm beyond the model, with landmarks 1.2 mm off; a ball with
-# landmarks 3.8 and 3.7; a head with a beak of 80 mm 7.7 and 0.8.
+# Of the fit. A head 5 mm off all people, smoothly, is 3.2 mm beyond the model and 4.9 standard deviations from the mean
+# person; a head with a beak of 80 mm is 7.7 and 4.9, a ball with landmarks on it 3.1 and 11.
 _RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
-_BEYOND_MM, _LANDMARKS_MM = 6.0, 3.0
+_BEYOND_MM, _DEVIATIONS, _LANDMARKS_MM = 6.0, 8.0, 3.0
 _ODD_SIZE = 0.5  # logarithm: children's faces are 0.3 smaller
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
@@ -210,6 +210,11 @@ def _of_fit(fit: HeadFit) -> list[str]:
 def out_of_range(fit: FitNeutralReport) -> tuple[str, ...]:
     """A line for each measure of a fit that no head has which is like people's."""
     lines = list(misses(fit.quality, _RANGE))
+    deviations = max(map(abs, fit.coefficients), default=0.0)
+    if deviations > _DEVIATIONS:
+        lines.append(
+            f"the face is {deviations:.1f} standard deviations from the mean person, expected at most {_DEVIATIONS:g}"
+        )
     if fit.residual_mean_mm > _BEYOND_MM:
         lines.append(
             f"the face is {fit.residual_mean_mm:.1f} mm (mean) from all people, expected at most {_BEYOND_MM:g}"
