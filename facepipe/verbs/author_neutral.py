@@ -25,7 +25,7 @@ from facepipe.verbs.whole_faces import check_spaces, to_millimetres
 _Shape = TypeVar("_Shape", Blendshape, Inbetween)
 
 _STILL_MM = 1e-4  # points that a shape moves by less stay where they are
-_STILL_SHARE = 5e-7  # the same of a face's size: one in a wrong unit may be smaller than a millimetre
+_STILL_SHARE = 1e-6  # the same of a face's size: one in a wrong unit may be smaller than a millimetre
 _STILL = 1e-9  # of the face's size: rounding
 _FAR = 3.0  # spreads of its points that a joint may be away from them and still turn about them
 

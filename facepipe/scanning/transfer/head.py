@@ -26,6 +26,7 @@ from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points
 
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
 _FEWEST = 6  # landmarks
+_MOST = 300_000  # points of skin: 225,000 take 43 s and 1.6 GB
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
 
@@ -157,12 +158,19 @@ class Head:
         return self.points[np.unique(self.surface.group, return_index=True)[1]]
 
     def skin(self) -> IntArray:
-        """Sewn points of the piece that carries nose, mouth and jaw: most landmarks are nearest to it."""
+        """Sewn points of the piece that carries nose, mouth and jaw: most landmarks are nearest to it.
+
+        :raises InputError: more than can be fitted and carried to within a minute
+        """
         known = self.landmarks.points[self.landmarks.known]
         nearest = closest_places(known, self.sewn, self.surface.triangles)
         of_triangle = self.surface.component[self.surface.triangles[:, 0]]
         votes = np.bincount(of_triangle[nearest.triangles])
-        return np.flatnonzero(self.surface.component == votes.argmax())
+        found = np.flatnonzero(self.surface.component == votes.argmax())
+        if len(found) > _MOST:
+            what = f"its skin has {len(found):,} points, expected at most {_MOST:,}: lower its resolution first"
+            raise InputError(self.where, what)
+        return found
 
     def whole(self, values: FloatArray) -> FloatArray:
         """(n, 3) of whole points, of values (m, 3) of the sewn ones."""
