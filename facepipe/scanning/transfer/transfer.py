@@ -132,9 +132,7 @@ def transfer(
     )
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
     if "shapes" in wanted and names:
-        own = whole_face(body.parts, body.where).deltas
-        skin_deltas = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step)).deltas
-        made, face_points = whole_shapes(head, skin, body, fit, own, skin_deltas)
+        made, face_points = _shapes_of(head, skin, body, fit, names, kept, step)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -162,6 +160,24 @@ def transfer(
     )
 
 
+def _shapes_of(
+    head: Head,
+    skin: IntArray,
+    body: Template,
+    fit: HeadFit,
+    names: Sequence[str],
+    kept: Mapping[str, str],
+    step: Callable[[], object],
+) -> tuple[Finished, BoolArray]:
+    """Shapes `names` of the template as `whole_shapes` makes them, with the jawOpen that mouthClose belongs to."""
+    own = whole_face(body.parts, body.where).deltas
+    more = ("jawOpen",) if _closes_alone(names, own, kept) else ()
+    wished = {name: own[name] for name in (*names, *more)}
+    skin_deltas = dict(carried(body, fit, wished, lambda name: _done(step)).deltas)
+    jaw = skin_deltas.pop("jawOpen") if more else _own_jaw(head, kept, skin)
+    return whole_shapes(head, skin, body, fit, own, skin_deltas, jaw)
+
+
 def _done(step: Callable[[], object]) -> None:
     step()
 
@@ -171,7 +187,22 @@ def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray]) -> dict[str, objec
     row: dict[str, object] = {"verdict": one.verdict}
     if one.name in deltas:
         row["largest_mm"] = float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
-    return row | ({} if one.lids is None else {"lids": asdict(one.lids)})
+    figures = {"lids": one.lids, "lips": one.lips}
+    return row | {what: asdict(value) for what, value in figures.items() if value is not None}
+
+
+def _closes_alone(names: Sequence[str], own: Mapping[str, FloatArray], kept: Mapping[str, str]) -> bool:
+    """Whether mouthClose is wanted without the jawOpen that it belongs to, which the head has not either."""
+    return "mouthClose" in names and "jawOpen" in own and "jawOpen" not in {*names, *kept}
+
+
+def _own_jaw(head: Head, kept: Mapping[str, str], skin: IntArray) -> FloatArray | None:
+    """(m, 3) of the head's own jawOpen at the sewn points `skin`; None: it has none."""
+    if "jawOpen" not in kept:
+        return None
+    deltas = whole_face(head.parts, head.where).deltas
+    whole = sum((deltas[name] for name in kept["jawOpen"].split(", ")), np.zeros_like(head.points))
+    return np.asarray(whole[np.unique(head.surface.group, return_index=True)[1]][skin])
 
 
 def whole_shapes(
@@ -181,12 +212,14 @@ def whole_shapes(
     fit: HeadFit,
     own: Mapping[str, FloatArray],
     carried: Mapping[str, FloatArray],
+    jaw: FloatArray | None = None,
 ) -> tuple[Finished, BoolArray]:
     """Shapes of all pieces of a head, in its own coordinates; and which sewn points are of its face and head itself.
 
     :param skin: (m,) sewn points that the shapes were carried to
     :param own: name -> (n, 3) whole deltas of the template, millimetres
     :param carried: name -> (m, 3) of the head's skin
+    :param jaw: (m, 3) of jawOpen, where that is not carried
     """
     place = fit.place
     points, marks = place.apply(head.sewn), place.apply(head.landmarks.points)
@@ -194,10 +227,15 @@ def whole_shapes(
     own_marks = body.points[body.rows[body.landmarks]]
     motion = motion_of(body.points, body.topology.triangles, own_marks, own, with_inside_fitted(fit.points))
     pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside)
-    whole = {name: np.zeros_like(points) for name in carried}
-    for name, delta in carried.items():
-        whole[name][skin] = place.scale * delta @ place.rotation.T
-    made = finished(points, head.surface.triangles, marks, pieces, motion, whole)
+
+    def there(delta: FloatArray) -> FloatArray:
+        whole = np.zeros_like(points)
+        whole[skin] = place.scale * delta @ place.rotation.T
+        return whole
+
+    whole = {name: there(delta) for name, delta in carried.items()}
+    opened = None if jaw is None else there(jaw)
+    made = finished(points, head.surface.triangles, marks, pieces, motion, whole, opened)
 
     for side, kind in (("Left", EYE_LEFT), ("Right", EYE_RIGHT)):
         # where a joint turns the eyeball, shapes that turn it too would turn it twice
