@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from facepipe.geometry.geodesics import nearest_sources, surface_graph
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.scanning.transfer.lids import EYES, Aperture, Globe
+from facepipe.scanning.transfer.lips import lips_of
 from facepipe.scanning.transfer.pieces import (
     BROWS,
     EYE_LEFT,
@@ -58,6 +59,7 @@ class Motion:
     neutral: FloatArray  # (w, 3) mm of the template itself
     deltas: Mapping[str, FloatArray]  # name -> (w, 3) mm
     inside: Inside  # on the head
+    lips: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (s,) mm between its lips; "": at rest
 
     @cached_property
     def size(self) -> float:
@@ -342,4 +344,9 @@ def motion_of(
         inside = replace(
             inside, gums=gums, tongue=gums[~still & (beside > _TONGUE_SHARE * beside[~still].max(initial=0.0))]
         )
-    return Motion(neutral=neutral, deltas=deltas, inside=replace(inside, points=fitted))
+    is_skin = np.zeros(len(neutral), bool)
+    is_skin[own.of(SKIN)] = True
+    lips = lips_of(neutral, triangles[is_skin[triangles].all(axis=1)], landmarks)
+    poses = {} if lips is None else {"": neutral, **{name: neutral + delta for name, delta in deltas.items()}}
+    gaps = {name: lips.gaps(pose) for name, pose in poses.items() if lips is not None}
+    return Motion(neutral=neutral, deltas=deltas, inside=replace(inside, points=fitted), lips=gaps)

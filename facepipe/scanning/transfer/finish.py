@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from facepipe.scanning.transfer.lids import (
     lid_figures,
     slid,
 )
+from facepipe.scanning.transfer.lips import LipFigures, Lips, as_shut, half_met, lips_of, met
+from facepipe.scanning.transfer.lips import figures as lip_figures
 from facepipe.scanning.transfer.pieces import MOUTH, SKIN, TONGUE, Pieces
 
 MADE, AS_CARRIED, NO_TONGUE, SEALED = "made", "made as carried", "no tongue", "lips are sealed"
@@ -44,6 +47,7 @@ class ShapeVerdict:
     verdict: str  # "made", "made as carried: why", "not made: why"
     flips: int = 0  # triangles of the skin, seen in the neutral, that turn over; of mouthClose with jawOpen
     lids: LidFigures | None = None  # of blinks that were made
+    lips: LipFigures | None = None  # of mouthClose, with jawOpen
 
     @property
     def made(self) -> bool:
@@ -68,6 +72,7 @@ def finished(
     pieces: Pieces,
     motion: Motion,
     carried: Mapping[str, FloatArray],
+    jaw: FloatArray | None = None,
 ) -> Finished:
     """The shapes of a whole head.
 
@@ -75,6 +80,7 @@ def finished(
     :param triangles: (t, 3)
     :param landmarks: (68, 3) mm, none unknown: those of the fitted template stand in
     :param carried: name -> (n, 3) mm as the skin moves by the template; ARKit's names
+    :param jaw: (n, 3) mm of jawOpen, where that is not carried
     """
     triangles = outward(points, triangles, landmarks)
     is_skin = np.zeros(len(points), bool)
@@ -83,43 +89,78 @@ def finished(
     found = {side: _aperture(points, skin, landmarks, pieces, motion, side) for side in EYES}
     eyes = {side: eye for side, eye in found.items() if isinstance(eye, Aperture)}
     companions = Companions(points, triangles, pieces, motion, eyes)
-    sealed, seen = mouth_is_sealed(points, skin, landmarks), seen_triangles(points, skin, landmarks)
+    sealed = mouth_is_sealed(points, skin, landmarks)
+    lips = None if sealed else lips_of(points, skin, landmarks)
+    jaw = carried.get("jawOpen", jaw)
+    seen = seen_triangles(points, skin, landmarks)
     deltas: dict[str, FloatArray] = {}
     inbetweens: dict[str, Mapping[float, FloatArray]] = {}
     verdicts = []
     for name, delta in carried.items():
-        side = next((one for one in EYES if name.endswith(one)), "")
-        stem = name.removesuffix(side)
-        verdict, lids = MADE, None
-        if stem in _LIDS and side:
-            eye = found[side]
-            if isinstance(eye, Aperture) and stem == "eyeBlink":
-                blink = closed(points, skin, eye, delta)
-                delta = blink.delta
-                inbetweens[name] = {way: companions.delta(name, own, way) for way, own in blink.inbetweens.items()}
-                lids = blink.figures
-            elif isinstance(eye, Aperture):
-                delta = slid(points, skin, eye, delta)
-            else:  # lids that a template only stretches over an eye close nothing
-                verdict = f"{'not made' if stem in _BY_LIDS else AS_CARRIED}: {eye}"
-        elif name == "tongueOut" and not len(pieces.of(TONGUE, MOUTH)):
+        verdict, moved = _of_eye(points, skin, found, name, delta)
+        if name == "tongueOut" and not len(pieces.of(TONGUE, MOUTH)):
             verdict = f"not made: {NO_TONGUE}"
         elif name in _OPENS and sealed:
             verdict = f"{AS_CARRIED}: {SEALED}"
-        made = ShapeVerdict(name=name, verdict=verdict, lids=lids)
-        verdicts.append(made)
+        elif lips is not None:
+            moved = _of_lips(points, lips, motion, name, moved, jaw)
+        made = ShapeVerdict(name=name, verdict=verdict)
         if made.made:
-            whole = companions.delta(name, delta)
+            whole = companions.delta(name, moved.delta)
             deltas[name] = whole
-            if lids is not None:
-                lids = lid_figures(points, whole, skin, eyes[side])
             # mouthClose is for a jaw that is open: alone it presses a closed mouth together
             ended = points + whole + (deltas.get("jawOpen", 0.0) if name == "mouthClose" else 0.0)
-            flips = int(flipped_triangles(points, ended, seen).sum())
-            verdicts[-1] = replace(made, flips=flips, lids=lids)
+            made = replace(made, flips=int(flipped_triangles(points, ended, seen).sum()))
+            if moved.ways:
+                inbetweens[name] = {way: companions.delta(name, own, way) for way, own in moved.ways.items()}
+            if moved.lids:
+                side = next(one for one in EYES if name.endswith(one))
+                made = replace(made, lids=lid_figures(points, whole, skin, eyes[side]))
+            elif name == "mouthClose" and lips is not None and jaw is not None:
+                made = replace(made, lips=lip_figures(points, lips, jaw, whole, moved.ways.get(0.5)))
+        verdicts.append(made)
     notes = [*pieces.notes, *([SEALED] if sealed else [])]
     notes += [f"{side.lower()} eye: {eye}" for side, eye in found.items() if eye in (SHUT, PAINT, NO_SOCKET)]
     return Finished(deltas=deltas, inbetweens=inbetweens, verdicts=tuple(verdicts), notes=tuple(notes))
+
+
+class _Moved(NamedTuple):
+    """A motion of n points of skin."""
+
+    delta: FloatArray  # (n, 3) mm
+    ways: Mapping[float, FloatArray] = {}  # weight -> (n, 3) mm
+    lids: bool = False  # a blink of the head's own lids
+
+
+def _of_eye(
+    points: FloatArray, skin: IntArray, found: Mapping[str, Aperture | str], name: str, delta: FloatArray
+) -> tuple[str, _Moved]:
+    """The verdict on a shape, and its motion with that of the head's own lids."""
+    side = next((one for one in EYES if name.endswith(one)), "")
+    stem = name.removesuffix(side)
+    if stem not in _LIDS or not side:
+        return MADE, _Moved(delta)
+    eye = found[side]
+    if isinstance(eye, Aperture) and stem == "eyeBlink":
+        blink = closed(points, skin, eye, delta)
+        return MADE, _Moved(blink.delta, blink.inbetweens, lids=True)
+    if isinstance(eye, Aperture):
+        return MADE, _Moved(slid(points, skin, eye, delta))
+    # lids that a template only stretches over an eye close nothing
+    return f"{'not made' if stem in _BY_LIDS else AS_CARRIED}: {eye}", _Moved(delta)
+
+
+def _of_lips(
+    points: FloatArray, lips: Lips, motion: Motion, name: str, moved: _Moved, jaw: FloatArray | None
+) -> _Moved:
+    """The motion with lips that meet as those of the template do."""
+    if name == "mouthClose" and jaw is not None:
+        close = met(points, lips, jaw, moved.delta)
+        half = half_met(points, lips, jaw, close)
+        return _Moved(close, {} if half is None else {0.5: half})
+    if name in _OPENS or name not in motion.lips or moved.lids:
+        return moved
+    return _Moved(as_shut(points, lips, moved.delta, motion.lips[""], motion.lips[name]), moved.ways)
 
 
 def outward(points: FloatArray, triangles: IntArray, landmarks: FloatArray) -> IntArray:

@@ -18,7 +18,8 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.balls import RadialSurface
 from facepipe.geometry.contacts import STEP, Grid
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import distinct_edges, flipped_triangles, triangle_normals
+from facepipe.geometry.polygons import flipped_triangles, triangle_normals
+from facepipe.scanning.transfer.unfold import unfolded
 from facepipe.verbs.skin.surface import smoothstep
 
 SHUT, PAINT, NO_SOCKET = "eyes are shut", "eyes are paint", "no lids around the eye"
@@ -49,7 +50,6 @@ _NARROW = 0.35  # of the opening: corners, where margins may give way so that no
 _OPEN_MM = 0.3  # of gaps, that points which don't turn over may cost
 _OUTLINE = 0.012  # radians from the hole, up to which points are its outline
 _SETTLES = 4
-_MOST_UNFOLDED = 32  # rounds
 _TOUCH_MM = 0.05  # of skin in the eyeball, that counts as on it
 _SLIDES_MM = 0.2  # shapes that move lids less leave them where they are
 
@@ -468,34 +468,7 @@ def _unfolded(
     outline = np.abs(polar[:, 1] - np.where(eye.side > 0, upper, lower)) < kept
     wide = (upper - lower > _NARROW * (eye.upper - eye.lower).max()) & (polar[:, 0] > eye.columns[0])
     margin[eye.near[(eye.distance <= 0) & outline & wide & (polar[:, 0] < eye.columns[-1])]] = True
-    pairs = distinct_edges(np.concatenate([triangles[:, :2], triangles[:, 1:], triangles[:, [2, 0]]]))[0]
-    pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    best = delta = ended - points
-    fewest = len(seen)
-    for turn in range(_MOST_UNFOLDED):
-        flips = flipped_triangles(points, points + delta, seen)
-        if flips.sum() < fewest:
-            best, fewest = delta, int(flips.sum())
-        marked = np.zeros(len(points), bool)
-        marked[seen[flips]] = True
-        for _ in range(1 + turn // 8):  # farther around where that does not help
-            marked[pairs[marked[pairs[:, 0]], 1]] = True
-        marked &= ~margin
-        if not marked.any() or not fewest:
-            break
-        mine = pairs[marked[pairs[:, 0]]]
-        total = np.zeros((len(points), 3))
-        np.add.at(total, mine[:, 0], delta[mine[:, 1]])
-        around = total[marked] / np.bincount(mine[:, 0], minlength=len(points))[marked, None]
-        delta = delta.copy()
-        delta[marked] += 0.5 * (around - delta[marked])
-        # a triangle that moves as one turns over nowhere
-        together = delta[seen[flips]].mean(axis=1, keepdims=True)
-        rows = seen[flips].ravel()
-        toward = (together - delta[seen[flips]]).reshape(-1, 3)[~margin[rows]]
-        rows = rows[~margin[rows]]
-        delta[rows] += 0.5 * toward
-    return points + best
+    return unfolded(points, ended, triangles, seen, margin)
 
 
 _PLACES = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0  # of a triangle

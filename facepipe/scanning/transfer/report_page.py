@@ -38,9 +38,10 @@ def _content(name: str, report: TransferReport, made: int) -> Iterator[Markup]:
     yield tag("h1", f"Transfer: {name}")
     fit = f"mean {report.fit_mean_mm:.2f} mm, 95 % below {report.fit_p95_mm:.2f} mm"
     facts = [f"landmarks: {report.landmarks}", f"face from the fitted template: {fit}"]
-    if report.lips is not None:
-        gaps = f"{report.lips.gap_mean:.2f} mm, largest {report.lips.gap_most:.2f}"
-        facts.append(f"lips with jawOpen and mouthClose, against the neutral: mean gap {gaps}")
+    lips: Any = report.shapes.get("mouthClose", {}).get("lips")
+    if lips is not None:
+        gaps = f"{lips['gap_mean']:.2f} mm, largest {lips['gap_most']:.2f}"
+        facts.append(f"lips with jawOpen and mouthClose: mean gap {gaps}, crossing {lips['over_most']:.2f}")
     yield tag("p", "  ·  ".join(facts), class_="muted")
     yield from (tag("p", warning, class_="bad") for warning in report.warnings)
     yield heading("Shapes", f"{made} made, {len(report.not_made)} can't be made, {len(report.kept)} the head's own")

@@ -22,7 +22,6 @@ from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
 from facepipe.scanning.transfer.companions import motion_of
-from facepipe.scanning.transfer.figures import LipFigures, lip_figures
 from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, finished
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
@@ -54,7 +53,6 @@ class TransferReport(Report):
     beyond_mm: float  # mean distance of the face from all people
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
     not_made: Mapping[str, str]  # shape -> why it can't be
-    lips: LipFigures | None = None  # with jawOpen and mouthClose together, where both were made
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
@@ -136,12 +134,8 @@ def transfer(
     surface = head.sewn[skin], head.surface.part_triangles(skin), head.landmarks
     fit = fit_head(body, database, *surface, name=face.where, progress=lambda number: _done(step))
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
-    lips = None
     if "shapes" in wanted and names:
-        own = whole_face(body.parts, body.where).deltas
-        brought = carried(body, fit, {name: own[name] for name in names}, lambda name: _done(step))
-        made, face_points = whole_shapes(head, skin, body, fit, own, brought.deltas)
-        lips = _lips(made, head, skin, fit, brought.sides)
+        made, face_points = _shapes_of(head, skin, body, fit, names, kept, step)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -155,7 +149,6 @@ def transfer(
         report,
         kept=kept,
         joints=report.joints if joints else 0,
-        lips=lips,
         authored=authored.authored,
         shown=head.whole(face_points),
         warnings=(*report.warnings, *authored.warnings),
@@ -184,16 +177,6 @@ def _report(
         framing=fit.points[body.rows[body.landmarks]],
         warnings=(*missed, *head.notes, *_of_fit(fit), *made.notes),
     )
-
-
-def _lips(made: Finished, head: Head, skin: IntArray, fit: HeadFit, sides: IntArray) -> LipFigures | None:
-    """How lips meet; None: one of the shapes that close them is not made, or they are sealed."""
-    verdicts = {one.name: one.verdict for one in made.verdicts}
-    if any(verdicts.get(name) != MADE for name in ("jawOpen", "mouthClose")):
-        return None
-    together = made.deltas["jawOpen"][skin] + made.deltas["mouthClose"][skin]
-    place = fit.place
-    return lip_figures(place.apply(head.sewn[skin]), sides, place.scale * together @ place.rotation.T)
 
 
 def _of_fit(fit: HeadFit) -> list[str]:
@@ -225,6 +208,24 @@ def out_of_range(fit: FitNeutralReport) -> tuple[str, ...]:
     return tuple(f"fit: {line}" for line in lines)
 
 
+def _shapes_of(
+    head: Head,
+    skin: IntArray,
+    body: Template,
+    fit: HeadFit,
+    names: Sequence[str],
+    kept: Mapping[str, str],
+    step: Callable[[], object],
+) -> tuple[Finished, BoolArray]:
+    """Shapes `names` of the template as `whole_shapes` makes them, with the jawOpen that mouthClose belongs to."""
+    own = whole_face(body.parts, body.where).deltas
+    more = ("jawOpen",) if _closes_alone(names, own, kept) else ()
+    wished = {name: own[name] for name in (*names, *more)}
+    skin_deltas = dict(carried(body, fit, wished, lambda name: _done(step)).deltas)
+    jaw = skin_deltas.pop("jawOpen") if more else _own_jaw(head, kept, skin)
+    return whole_shapes(head, skin, body, fit, own, skin_deltas, jaw)
+
+
 def _done(step: Callable[[], object]) -> None:
     step()
 
@@ -235,7 +236,22 @@ def _row(one: ShapeVerdict, deltas: Mapping[str, FloatArray], scale: float) -> d
     if one.name in deltas:
         row["largest_mm"] = scale * float(np.linalg.norm(deltas[one.name], axis=1).max(initial=0.0))
         row["flips"] = one.flips
-    return row | ({} if one.lids is None else {"lids": asdict(one.lids)})
+    figures = {"lids": one.lids, "lips": one.lips}
+    return row | {what: asdict(value) for what, value in figures.items() if value is not None}
+
+
+def _closes_alone(names: Sequence[str], own: Mapping[str, FloatArray], kept: Mapping[str, str]) -> bool:
+    """Whether mouthClose is wanted without the jawOpen that it belongs to, which the head has not either."""
+    return "mouthClose" in names and "jawOpen" in own and "jawOpen" not in {*names, *kept}
+
+
+def _own_jaw(head: Head, kept: Mapping[str, str], skin: IntArray) -> FloatArray | None:
+    """(m, 3) of the head's own jawOpen at the sewn points `skin`; None: it has none."""
+    if "jawOpen" not in kept:
+        return None
+    deltas = whole_face(head.parts, head.where).deltas
+    whole = sum((deltas[name] for name in kept["jawOpen"].split(", ")), np.zeros_like(head.points))
+    return np.asarray(whole[np.unique(head.surface.group, return_index=True)[1]][skin])
 
 
 def whole_shapes(
@@ -245,12 +261,14 @@ def whole_shapes(
     fit: HeadFit,
     own: Mapping[str, FloatArray],
     carried: Mapping[str, FloatArray],
+    jaw: FloatArray | None = None,
 ) -> tuple[Finished, BoolArray]:
     """Shapes of all pieces of a head, in its own coordinates; and which sewn points are of its face and head itself.
 
     :param skin: (m,) sewn points that the shapes were carried to
     :param own: name -> (n, 3) whole deltas of the template, millimetres
     :param carried: name -> (m, 3) of the head's skin
+    :param jaw: (m, 3) of jawOpen, where that is not carried
     """
     place = fit.place
     points, marks = place.apply(head.sewn), place.apply(head.landmarks.points)
@@ -258,10 +276,15 @@ def whole_shapes(
     own_marks = body.points[body.rows[body.landmarks]]
     motion = motion_of(body.points, body.topology.triangles, own_marks, own, with_inside_fitted(fit.points))
     pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside)
-    whole = {name: np.zeros_like(points) for name in carried}
-    for name, delta in carried.items():
-        whole[name][skin] = place.scale * delta @ place.rotation.T
-    made = finished(points, head.surface.triangles, marks, pieces, motion, whole)
+
+    def there(delta: FloatArray) -> FloatArray:
+        whole = np.zeros_like(points)
+        whole[skin] = place.scale * delta @ place.rotation.T
+        return whole
+
+    whole = {name: there(delta) for name, delta in carried.items()}
+    opened = None if jaw is None else there(jaw)
+    made = finished(points, head.surface.triangles, marks, pieces, motion, whole, opened)
 
     for side, kind in (("Left", EYE_LEFT), ("Right", EYE_RIGHT)):
         # where a joint turns the eyeball, shapes that turn it too would turn it twice

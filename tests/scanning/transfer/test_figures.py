@@ -1,10 +1,9 @@
-"""Figures of shapes: triangles that turn over where they are seen, and lips that meet or don't."""
+"""Triangles count as turned over where they are seen."""
 
 import numpy as np
-import pytest
 
 from facepipe.geometry.polygons import flipped_triangles
-from facepipe.scanning.transfer.figures import lip_figures, seen_triangles
+from facepipe.scanning.transfer.figures import seen_triangles
 
 _SHEET = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]])
 _FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -45,37 +44,3 @@ def test_triangles_that_turn_over_are_counted_on_what_is_seen() -> None:
     moved[2], moved[6] = (-40.0, -40.0, 0.0), (-40.0, -40.0, -0.1)  # one of each sheet
     seen = seen_triangles(points, triangles, _MARKS)
     assert flipped_triangles(points, moved, seen).sum() == flipped_triangles(_SHEET, moved[:4], _FACES).sum() > 0
-
-
-def _lips(upper: float, lower: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rims 0.5 mm apart, with a row of points above and below; what moves them along Y."""
-    x = np.arange(-20.0, 21.0, 2.0)
-    rows = [np.stack([x, np.full_like(x, y), np.zeros_like(x)], axis=1) for y in (5.0, 0.5, 0.0, -5.0)]
-    sides = np.repeat([1, 1, -1, -1], len(x))
-    delta = np.zeros((len(sides), 3))
-    delta[:, 1] = np.where(sides > 0, upper, lower)
-    delta[: len(x), 1] = 30.0  # no rim
-    return np.concatenate(rows), sides, delta
-
-
-@pytest.mark.parametrize(("upper", "lower", "gap"), [(0, 0, 0), (1, -2, 3), (-0.2, 0.1, 0)])
-def test_lips_part_at_their_rims(upper: float, lower: float, gap: float) -> None:
-    found = lip_figures(*_lips(upper, lower))
-    assert found is not None
-    assert (found.gap_mean, found.gap_most) == pytest.approx((gap, gap), abs=1e-12)
-
-
-def test_half_a_mouth_that_opens_has_a_smaller_mean() -> None:
-    points, sides, delta = _lips(0.0, 0.0)
-    delta[(sides < 0) & (points[:, 0] > 0), 1] = -1.0
-    found = lip_figures(points, sides, delta)
-    assert found is not None
-    assert found.gap_most == pytest.approx(1.0)
-    assert found.gap_mean == pytest.approx(10 / 21)
-
-
-def test_lips_that_are_far_apart_have_no_figures() -> None:
-    points, sides, delta = _lips(0.0, 0.0)
-    points[sides < 0] -= (0.0, 10.0, 0.0)
-    assert lip_figures(points, sides, delta) is None
-    assert lip_figures(points, np.zeros_like(sides), delta) is None

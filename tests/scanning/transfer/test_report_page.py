@@ -10,12 +10,12 @@ import scan_domes
 from PIL import Image
 
 from facepipe.geometry.similarity import Similarity
-from facepipe.scanning.transfer.figures import LipFigures
 from facepipe.scanning.transfer.lids import LidFigures
 from facepipe.scanning.transfer.report_page import write_report
 from facepipe.scanning.transfer.transfer import TransferReport
 
 _HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
+_LIPS = {"gap_mean": 0.04, "gap_most": 0.18, "over_most": 0.3, "half_most": 0.1, "flips": 0}
 _LIDS = LidFigures(gap_mean=0.02, gap_most=0.31, in_ball=0.14, in_ball_neutral=0.12, flips=0)
 
 
@@ -32,10 +32,10 @@ def _report() -> TransferReport:
             made: {"verdict": "made as carried: lips are sealed", "largest_mm": 12.34, "flips": 7},
             blink: {"verdict": "made", "largest_mm": 9.87, "flips": 0, "lids": vars(_LIDS)},
             "eyeWideLeft": {"verdict": not_made},
+            "mouthClose": {"verdict": "made", "largest_mm": 20.0, "flips": 1, "lips": _LIPS},
         },
         not_made={"eyeWideLeft": "eyes are <b>paint</b>"},
         kept={"tongueOut": "Tongue & Out"},
-        lips=LipFigures(gap_mean=0.04, gap_most=0.18),
         warnings=("left eye: eyes are paint",),
         shown=np.ones(sum(len(mesh.points) for mesh in parts.meshes), bool),
         place=_HOME,
@@ -65,11 +65,12 @@ def test_each_shape_has_a_row_and_text_is_escaped(written: tuple[Path, TransferR
         [made, "made as carried: lips are sealed", "12.3", "7", *[""] * 3],
         [blink, "made", "9.9", "0", "0.02", "0.31", "0.12 to 0.14"],
         ["eyeWideLeft", "not made: eyes are &lt;b&gt;paint&lt;/b&gt;", *[""] * 5],
+        ["mouthClose", "made", "20.0", "1", *[""] * 3],
         ["tongueOut", "the head&#x27;s own: Tongue &amp; Out", *[""] * 5],
     ]
     assert "mean gap 0.04 mm, largest 0.18" in page
     assert "left eye: eyes are paint" in page
-    assert "2 made, 1 can&#x27;t be made, 1 the head&#x27;s own" in page
+    assert "3 made, 1 can&#x27;t be made, 1 the head&#x27;s own" in page
 
 
 def test_the_picture_has_a_cell_for_each_shape_that_is_made_and_the_neutral(
