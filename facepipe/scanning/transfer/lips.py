@@ -26,12 +26,12 @@ _DEPTH, _HEIGHT = 0.2, 0.6  # of the mouth's width from its landmarks: what is a
 _JOINED_DEPTH = 0.1  # and what joins them at corners, not the back of the inner mouth
 _NARROWEST = 0.4  # of the mouth's width: less of an opening is none
 _FOLLOWS = 0.2  # of the mouth's width along the skin from its rim: so far a lip goes along
-_BAND = 3  # columns at corners, over which what is mended fades
+_BAND = 2  # columns at corners, where a rim may seem to end off the corner
 _CORNER = 8  # columns at corners, whose points give way where triangles would turn over
 _DEGREE, _SHARES = 4, (0.3, 1.5)  # of the share of mouthClose along the mouth
-_ROUNDS = 6
+_ROUNDS = 10
 _SETTLED_MM = 0.02
-_MOST_OVER_MM = 0.4  # that lips go into one another at 1, so that at 0.5 those that were apart are half as far
+_MOST_OVER_MM = 0.35  # that lips go into one another at 1, so that at 0.5 those that were apart are half as far
 _HALF_MM = 0.1  # of gaps at 0.5
 _APART_MM = 0.3  # of a template's lips: up to which they stay shut in a shape
 
@@ -186,7 +186,12 @@ def held(lips: Lips, ended: FloatArray, least: FloatArray, most: FloatArray) -> 
     """A pose (n, 3) with gaps of at least and at most (s,) mm: both lips go half of what is missing."""
     for _ in range(_ROUNDS):
         gaps = lips.gaps(ended)
-        wrong = _faded((np.clip(gaps, least, most) - gaps)[:, None])[:, 0]
+        wrong = np.clip(gaps, least, most) - gaps
+        # where joined triangles hide the rims in this pose, these go with those beside: coarse meshes have a point there
+        shown = ~_shut(lips.frame, ended, lips.joined, lips.columns(ended))
+        if shown.any():
+            wrong = np.interp(_STATIONS, _STATIONS[shown], wrong[shown])
+        wrong = _faded(wrong[:, None])[:, 0]
         if np.abs(wrong).max() <= _SETTLED_MM:
             break
         ended = lips.moved(ended, wrong[:, None] * lips.frame.axes[1])
@@ -284,5 +289,6 @@ def _rest(frame: Frame, points: FloatArray, triangles: IntArray, sign: int, stat
 
 def _faded(values: FloatArray) -> FloatArray:
     """(s, k) values that end at the corners."""
-    number = np.arange(len(values))
-    return np.asarray(values * smoothstep(np.minimum(number, number[::-1]) / _BAND)[:, None])
+    faded = values.copy()
+    faded[[0, -1]] = 0.0
+    return faded
