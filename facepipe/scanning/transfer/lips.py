@@ -186,11 +186,11 @@ def held(lips: Lips, ended: FloatArray, least: FloatArray, most: FloatArray) -> 
     """A pose (n, 3) with gaps of at least and at most (s,) mm: both lips go half of what is missing."""
     for _ in range(_ROUNDS):
         gaps = lips.gaps(ended)
-        wrong = np.clip(gaps, least, most) - gaps
-        # where joined triangles hide the rims in this pose, these go with those beside: coarse meshes have a point there
+        wrong: FloatArray = np.asarray(np.clip(gaps, least, most) - gaps)
+        # where joined triangles hide the rims in this pose, these go with those beside: coarse meshes have a point
         shown = ~_shut(lips.frame, ended, lips.joined, lips.columns(ended))
         if shown.any():
-            wrong = np.interp(_STATIONS, _STATIONS[shown], wrong[shown])
+            wrong = np.asarray(np.interp(_STATIONS, _STATIONS[shown], wrong[shown]))
         wrong = _faded(wrong[:, None])[:, 0]
         if np.abs(wrong).max() <= _SETTLED_MM:
             break
