@@ -475,13 +475,13 @@ def fit_neutral(
     :param reach_mm: points further from the scan don't follow it [mm]
     :param weight_sigma: how far the weight of a shape that the scan shows may be from the given one
     :param template: face stage with multipie68 landmarks (default the built-in head)
+    :param scan: scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos
     :param database: faces of the template's topology: .fpdb (default for the built-in head its own modes)
     :param landmarks: landmarks of the scan (default SCAN's .landmarks.json)
     :param weights: shapes that the scan shows besides the neutral, weights above 0 up to 2
     :param open_eyes: open eyes whose lids the landmarks show shut, where no --weights are given
     :param close_lips: close lips whose landmarks meet: of their rims, scans show nothing
     :param picture: draw scan, face and their distance
-    :param scan: scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there
     :param flatten: write a standalone file

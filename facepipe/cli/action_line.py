@@ -147,7 +147,8 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     given = {one.name: getattr(arguments, one.name) for one in fields if hasattr(arguments, one.name)}
     unsaid = {one.name for one in fields if one.stands_alone and not given.get(one.name)}
     given = {name: value for name, value in given.items() if name not in {*unsaid, *kind.own_flags}}
-    words = getattr(arguments, "replace", ())
+    own_replace = any(one.name == "replace" for one in fields)  # a flag of the action's own, not of its sources
+    words = () if own_replace else getattr(arguments, "replace", ())
     instead: dict[int, Path] = {}
     for word in words:
         number, equals, path = word.partition("=")

@@ -68,6 +68,7 @@ fit-photo front.png head.usda --landmarks front.json -o me.usda --report me --st
 --iterations 1 --size 64 --identity 0
 choose-frames clip.mp4 -o frames
 bake-photo painted/fitted.usda painted/front.png -o photographed.usda --size 128
+transfer head.usda -o given.usda --shapes jawOpen eyeBlinkLeft --replace
 lod head.usda --triangles 8000,2500 -o lods.usda
 export lods.usda -o lods.glb --lods
 lod third.usdz --triangles 3000 --flatten -o flat_lods.usdc
@@ -84,6 +85,7 @@ neural-rig retarget dome.fpnr person.usda --frames person_motion.usdc -o person.
 export dome.usda -o rig.onnx --neural dome.fpnr
 export dome.usda -o encoder.onnx --neural dome.fpnr --encoder
 fit-neutral anna.ply --template head.usda --database faces.fpdb -o fitted.usda --picture fitted.png
+conform anna.ply --template head.usda --database faces.fpdb -o conformed.usda
 refine-neutral fitted.usda anna.ply -o refined.usda
 personal-template anna.usda --template head.usda -o personal.usda
 register-scan open.ply --personal personal.usda -o open.usda --weights jawOpen=0.8

@@ -123,6 +123,32 @@ def _one_look() -> None:
     search.read_photo = search.own_landmarks = lambda photo: photo
 
 
+def _one_transfer() -> None:
+    """Transfers make one shape: a fit takes half a minute."""
+    from facepipe.geometry.similarity import Similarity
+    from facepipe.scanning.transfer import transfer as module
+    from facepipe.verbs.author_neutral import AuthorNeutral
+    from facepipe.verbs.whole_faces import whole_points
+
+    def transfer(face: Any, recipe: Any, step: Any, **options: Any) -> Any:
+        points = whole_points(face.parts())
+        AuthorNeutral(shapes={"tongueOut": np.ones_like(points)})(face, points, recipe=recipe)
+        return module.TransferReport(
+            landmarks="the head's own",
+            fit_mean_mm=0.1,
+            fit_p95_mm=0.2,
+            fit_coverage=1.0,
+            beyond_mm=0.0,
+            shapes={"tongueOut": {"verdict": "made"}},
+            not_made={},
+            shown=np.ones(len(points), bool),
+            place=Similarity(rotation=np.eye(3), translation=np.zeros(3)),
+            framing=points,
+        )
+
+    module.transfer = transfer  # type: ignore[assignment]
+
+
 def _one_face() -> None:
     """The landmarks of a scan are those of the dome."""
     import scan_domes
@@ -291,6 +317,18 @@ LINES: dict[str, Line] = {
         *("-o", "out.usda", "--picture", "out.png"),
         uses=_DOME,
         more=("out.png",),
+    ),
+    "conform": _out(
+        *("conform", "neutral.ply", "--template", "dome.usda", "--database", "faces.fpdb", "--unit", "cm"),
+        *("-o", "out.usda", "--picture", "out.png"),
+        uses=_DOME,
+        more=("out.png",),
+    ),
+    "transfer": _out(
+        *("transfer", "dome.usda", "-o", "out.usda", "--picture", "out.png"),
+        uses=_DOME,
+        more=("out.png",),
+        stub=_one_transfer,
     ),
     "refine-neutral": _out(
         *("refine-neutral", "fitted_neutral.usda", "neutral.ply", "-o", "out.usda", "--picture", "out.png"),

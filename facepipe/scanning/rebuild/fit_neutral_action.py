@@ -47,8 +47,8 @@ _TEXTURES = 2048  # texels a side of the built-in head's
 
 
 @dataclass(frozen=True, kw_only=True)
-class FittingAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
-    """Base of the actions that put a template's neutral on what is scanned or modelled."""
+class TemplateAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
+    """Base of the actions that put a template's neutral on something."""
 
     template: Path | None = source(
         "face stage with multipie68 landmarks (default the built-in head)",
@@ -56,6 +56,12 @@ class FittingAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralRe
         flag="--template",
         metavar="FACE",
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittingAction(TemplateAction):
+    """Base of the actions that fit it to what is scanned or modelled, whose field comes after the template's."""
+
     database: Path | None = source(
         "faces of the template's topology: .fpdb (default for the built-in head its own modes)",
         default=None,
@@ -168,12 +174,17 @@ class FittingAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralRe
         return "\n".join([str(out), table(rows)])
 
 
-@action("fit-neutral", "fit a face to the scan of a person")
 @dataclass(frozen=True, kw_only=True)
-class FitNeutralAction(FittingAction):
-    """The action."""
+class _OfScan(TemplateAction):
+    """A recipe names its scan before the database, as it did before there was `facepipe conform`."""
 
     scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos")
+
+
+@action("fit-neutral", "fit a face to the scan of a person")
+@dataclass(frozen=True, kw_only=True)
+class FitNeutralAction(FittingAction, _OfScan):
+    """The action."""
 
     @property
     def fitted(self) -> Path:
