@@ -14,6 +14,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
+from facepipe.core.threads import one_thread
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Recipe, Slider, all_regions
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
@@ -100,6 +101,7 @@ def wanted_shapes(
     return tuple(name for name in names if name not in own), {name: ", ".join(found) for name, found in own.items()}
 
 
+@one_thread()
 def transfer(
     face: Face,
     recipe: Recipe,
