@@ -189,7 +189,7 @@ def held(lips: Lips, ended: FloatArray, least: FloatArray, most: FloatArray) -> 
     """A pose (n, 3) with gaps of at least and at most (s,) mm: both lips go half of what is missing."""
     for _ in range(_ROUNDS):
         gaps = lips.gaps(ended)
-        wrong = np.clip(gaps, least, most) - gaps
+        wrong: FloatArray = np.clip(gaps, least, most) - gaps
         # where joined triangles hide the rims in this pose, they go with those beside: coarse meshes have points there
         shown = ~_shut(lips.frame, ended, lips.joined, lips.columns(ended))
         if shown.any():
