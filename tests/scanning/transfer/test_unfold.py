@@ -21,7 +21,7 @@ def _sheet() -> tuple[np.ndarray, np.ndarray]:
 def test_triangles_turn_back_and_held_points_stay() -> None:
     points, triangles = _sheet()
     middle = len(points) // 2
-    ended = points + [0.0, 0.0, 1.0]
+    ended = points + np.array([0.0, 0.0, 1.0])
     ended[middle, 0] += 1.6
     held = np.zeros(len(points), bool)
     assert flipped_triangles(points, ended, triangles).any()
