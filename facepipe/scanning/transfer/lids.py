@@ -365,13 +365,18 @@ def _meeting(points: FloatArray, eye: Aperture, before: FloatArray, carried: Flo
 def _settled(points: FloatArray, met: FloatArray, triangles: IntArray, eye: Aperture, gap: float) -> FloatArray:
     """Lids that have `met` with no triangle turned over nor in the eyeball, as far as that leaves no wider gap."""
     seen = _seen(points, triangles, eye)
-    for outline in (_OUTLINE, np.inf):  # of the margins what the outline needs stays, or all, where that opens the eye
+    best, fewest = _clear(points, met, seen, eye), len(seen) + 1
+    # of the margins what the outline needs stays, or nothing, or all, where that opens the eye
+    for outline in (_OUTLINE, 0.0, np.inf):
         ended = met
         for _ in range(_SETTLES):  # each may undo a little of the other
             ended = _clear(points, _unfolded(points, ended, triangles, seen, eye, outline), seen, eye)
-        if _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
-            return ended
-    return _clear(points, met, seen, eye)
+        flips = int(flipped_triangles(points, ended, seen).sum())
+        if flips < fewest and _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
+            best, fewest = ended, flips
+        if not fewest:
+            break
+    return best
 
 
 def slid(points: FloatArray, triangles: IntArray, eye: Aperture, carried: FloatArray) -> FloatArray:
