@@ -371,9 +371,11 @@ def _settled(points: FloatArray, met: FloatArray, triangles: IntArray, eye: Aper
         ended = met
         for _ in range(_SETTLES):  # each may undo a little of the other
             ended = _clear(points, _unfolded(points, ended, triangles, seen, eye, outline), seen, eye)
-        flips = int(flipped_triangles(points, ended, seen).sum())
-        if flips < fewest and _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
-            best, fewest = ended, flips
+            flips = int(flipped_triangles(points, ended, seen).sum())
+            if flips < fewest and _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
+                best, fewest = ended, flips
+            if not flips:
+                break
         if not fewest:
             break
     return best
@@ -479,7 +481,7 @@ def _unfolded(
 _PLACES = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0  # of a triangle
 
 
-def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture) -> FloatArray:
+def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture, slack: float = 0.0) -> FloatArray:
     """`ended` with points lifted until the triangles `seen` lie no deeper in the eyeball than they did in `points`.
 
     Others are left alone: the fold of the socket and the lids' inner sides belong inside.
