@@ -365,13 +365,20 @@ def _meeting(points: FloatArray, eye: Aperture, before: FloatArray, carried: Flo
 def _settled(points: FloatArray, met: FloatArray, triangles: IntArray, eye: Aperture, gap: float) -> FloatArray:
     """Lids that have `met` with no triangle turned over nor in the eyeball, as far as that leaves no wider gap."""
     seen = _seen(points, triangles, eye)
-    for outline in (_OUTLINE, np.inf):  # of the margins what the outline needs stays, or all, where that opens the eye
+    best, fewest = _clear(points, met, seen, eye), len(seen) + 1
+    # of the margins what the outline needs stays, or nothing, or all, where that opens the eye
+    for outline in (_OUTLINE, 0.0, np.inf):
         ended = met
         for _ in range(_SETTLES):  # each may undo a little of the other
             ended = _clear(points, _unfolded(points, ended, triangles, seen, eye, outline), seen, eye)
-        if _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
-            return ended
-    return _clear(points, met, seen, eye)
+            flips = int(flipped_triangles(points, ended, seen).sum())
+            if flips < fewest and _gaps(ended, triangles, eye).max(initial=0.0) <= max(gap, _OPEN_MM):
+                best, fewest = ended, flips
+            if not flips:
+                break
+        if not fewest:
+            break
+    return best
 
 
 def slid(points: FloatArray, triangles: IntArray, eye: Aperture, carried: FloatArray) -> FloatArray:
@@ -474,7 +481,7 @@ def _unfolded(
 _PLACES = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0  # of a triangle
 
 
-def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture) -> FloatArray:
+def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture, slack: float = 0.0) -> FloatArray:
     """`ended` with points lifted until the triangles `seen` lie no deeper in the eyeball than they did in `points`.
 
     Others are left alone: the fold of the socket and the lids' inner sides belong inside.

@@ -26,7 +26,7 @@ _DEPTH, _HEIGHT = 0.2, 0.6  # of the mouth's width from its landmarks: what is a
 _JOINED_DEPTH = 0.1  # and what joins them at corners, not the back of the inner mouth
 _NARROWEST = 0.4  # of the mouth's width: less of an opening is none
 _FOLLOWS = 0.2  # of the mouth's width along the skin from its rim: so far a lip goes along
-_BAND = 2  # columns at corners, where a rim may seem to end off the corner
+_BAND = 3  # columns at corners, where a rim may seem to end off the corner
 _CORNER = 8  # columns at corners, whose points give way where triangles would turn over
 _DEGREE, _SHARES = 4, (0.3, 1.5)  # of the share of mouthClose along the mouth
 _ROUNDS = 10
@@ -86,10 +86,13 @@ class Lips:
         if not known.any():
             return np.zeros_like(upper)
         gaps = self.frame.width * np.interp(_STATIONS, _STATIONS[known], (upper - lower)[known])
-        gaps = np.where(_shut(self.frame, pose, self.joined, columns), 0.0, gaps)
+        shut = _shut(self.frame, pose, self.joined, columns)
+        gaps = np.where(shut, 0.0, gaps)
         # the point of a corner counts to one lip alone: beside it the other's rim seems to end off it
-        for band, beside in ((slice(None, _BAND), gaps[_BAND]), (slice(-_BAND, None), gaps[-_BAND - 1])):
-            gaps[band] = np.clip(gaps[band], min(beside, 0.0), max(beside, 0.0))
+        shown = np.flatnonzero(~shut)
+        if len(shown) > 2 * _BAND:
+            for band, beside in ((shown[:_BAND], shown[_BAND]), (shown[-_BAND:], shown[-_BAND - 1])):
+                gaps[band] = np.clip(gaps[band], min(gaps[beside], 0.0), max(gaps[beside], 0.0))
         return gaps
 
     def seen(self, points: FloatArray) -> IntArray:
@@ -114,11 +117,11 @@ class Lips:
 def lips_of(points: FloatArray, triangles: IntArray, landmarks: FloatArray) -> Lips | None:
     """The lips of a skin; None: its mouth is no opening.
 
-    :param points: (n, 3) mm, cuts sewn
+    :param points: (n, 3) mm, cuts sewn, upright and looking along Z
     :param triangles: (t, 3) of the skin, outward
     :param landmarks: (68, 3) mm
     """
-    frame = Frame.of(landmarks, *RIMS[0])
+    frame = _upright(landmarks)
     used = np.unique(triangles)
     used = used[np.linalg.norm(points[used] - landmarks[48:68].mean(axis=0), axis=1) < _NEAR * frame.width]
     place = np.full(len(points), -1)
@@ -187,7 +190,7 @@ def held(lips: Lips, ended: FloatArray, least: FloatArray, most: FloatArray) -> 
     for _ in range(_ROUNDS):
         gaps = lips.gaps(ended)
         wrong: FloatArray = np.asarray(np.clip(gaps, least, most) - gaps)
-        # where joined triangles hide the rims in this pose, these go with those beside: coarse meshes have a point
+        # where joined triangles hide the rims in this pose, they go with those beside: coarse meshes have points there
         shown = ~_shut(lips.frame, ended, lips.joined, lips.columns(ended))
         if shown.any():
             wrong = np.asarray(np.interp(_STATIONS, _STATIONS[shown], wrong[shown]))
@@ -237,6 +240,21 @@ def figures(
         half_most=float(middle.max(initial=0.0)),
         flips=int(flipped_triangles(points, points + jaw + close, lips.seen(points)).sum()),
     )
+
+
+def _upright(landmarks: FloatArray) -> Frame:
+    """The mouth's frame with its upward axis that of the head's place: seen from where the face looks.
+
+    From chin to nose, which is upwards of eyes and mouth alike elsewhere, is off by 6 to 18 degrees; so seen, lips that
+    lie one before the other seem to meet and have a slit between them.
+    """
+    frame = Frame.of(landmarks, *RIMS[0])
+    along = frame.axes[0]
+    up = np.array([0.0, 1.0, 0.0]) - along[1] * along
+    up /= max(float(np.linalg.norm(up)), 1e-9)
+    turned = frame._replace(axes=np.stack([along, up, np.cross(along, up)]))
+    local = turned.local(frame.origin + frame.width * frame.rim @ frame.axes)
+    return turned._replace(rim=local[np.argsort(local[:, 0], kind="stable")])
 
 
 def _near(frame: Frame, places: FloatArray, depth: float) -> BoolArray:
