@@ -19,7 +19,7 @@ examples:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,7 +67,10 @@ class ConformAction(FittingAction):
         with job.watch("landmarks", 1) as bar:
             head = Head.of(self._parts, str(self.head), self.landmarks)
             bar.update()
-        return head.scan_of_skin(), head.landmarks, head.notes, {}
+        # in the unit of its file, which --unit is of
+        scan, unit = head.scan_of_skin(), 1000.0 * head.parts.meters_per_unit
+        landmarks = replace(head.landmarks, points=head.landmarks.points / unit)
+        return replace(scan, points=scan.points / unit), landmarks, head.notes, {}
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         names = [mesh.name for mesh in face.meshes]
