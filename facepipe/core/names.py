@@ -55,14 +55,17 @@ def file_name(text: str, fallback: str = "unnamed") -> str:
 
 def unique_identifiers(names: Iterable[str], fallback: str = "unnamed") -> tuple[str, ...]:
     """Identifiers for `names`, in order; a name already taken gets the next free ``_2``, ``_3`` ..."""
-    taken: set[str] = set()
-    result = []
+    return numbered(identifier(name, fallback) for name in names)
+
+
+def numbered(names: Iterable[str], taken: Iterable[str] = ()) -> tuple[str, ...]:
+    """The names, in order; one that is already taken gets the next free ``_2``, ``_3`` ..."""
+    used, result = {*taken}, []
     for name in names:
-        base = candidate = identifier(name, fallback)
-        number = 2
-        while candidate in taken:
-            candidate, number = f"{base}_{number}", number + 1
-        taken.add(candidate)
+        candidate, number = name, 2
+        while candidate in used:
+            candidate, number = f"{name}_{number}", number + 1
+        used.add(candidate)
         result.append(candidate)
     return tuple(result)
 

@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from facepipe.core import tokens
 from facepipe.core.errors import InputError, SchemaError
-from facepipe.core.names import handles, identifier
+from facepipe.core.names import handles, identifier, numbered
 from facepipe.stage.files import at_variants
 from facepipe.stage.prims import prims_below
 
@@ -28,16 +28,8 @@ _PLAIN = re.compile(r"[A-Za-z0-9_|-]{1,200}")  # what USD calls variants beside 
 
 def variant_identifiers(names: Iterable[str]) -> tuple[str, ...]:
     """What USD is to call variants, in order: their names where it can, else identifiers that are free."""
-    taken = {tokens.DEFAULT_VARIANT}
-    result = []
-    for name in names:
-        base = candidate = name if _PLAIN.fullmatch(name) else identifier(name)
-        number = 2
-        while candidate in taken:
-            candidate, number = f"{base}_{number}", number + 1
-        taken.add(candidate)
-        result.append(candidate)
-    return tuple(result)
+    plain = (name if _PLAIN.fullmatch(name) else identifier(name) for name in names)
+    return numbered(plain, [tokens.DEFAULT_VARIANT])
 
 
 class Bindings:
