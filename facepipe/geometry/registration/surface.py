@@ -141,6 +141,15 @@ class DeformableSurface:
         """(n, 3) points of coefficients (k,) and a residual (n, 3)."""
         return np.asarray(self.base + np.tensordot(coefficients, self.modes, axes=1) + residual)
 
+    def with_modes(self, modes: FloatArray, precision: float) -> DeformableSurface:
+        """The same with more modes (k, n, 3), expected at 0."""
+        return replace(
+            self,
+            modes=np.concatenate([self.modes, modes]),
+            expected=np.append(self.expected, np.zeros(len(modes))),
+            precision=np.append(self.precision, np.full(len(modes), precision)),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:

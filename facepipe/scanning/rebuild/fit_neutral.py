@@ -125,6 +125,8 @@ def fit_neutral(
     options: FitNeutralOptions = _USUAL,
     progress: Callable[[int], None] = lambda step: None,
     weights: Mapping[str, float] | None = None,
+    *,
+    fitted_size: bool = True,
 ) -> tuple[NeutralScan, Similarity, FitNeutralReport]:
     """The neutral, the place of its scan, and how it lies there.
 
@@ -135,6 +137,7 @@ def fit_neutral(
 
     :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is without
         them
+    :param fitted_size: whether a scan of no given unit is sized with the rest; False: as its landmarks are
     :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template lacks, or a scan
         that can't be used
     :raises TopologyError: a database of another topology
@@ -162,6 +165,7 @@ def fit_neutral(
     anchors = landmark_anchors(template, landmarks)
     shown = shown_prior(template, deltas, weights, options.weight_sigma)
     solver = options.registration
+    solver = replace(solver, scale=solver.scale and fitted_size)
     try:
         registered = register(surface, target, anchors, start, solver, progress, shown)
         if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
