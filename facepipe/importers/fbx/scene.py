@@ -30,7 +30,8 @@ LARGEST = 1e18  # number that is believed: products of two still fit in float32,
 _MODULE = Path(__file__).with_name("ufbx.wasm")
 _MOST_FILE_BYTES = 1 << 29
 _FREE_BYTES, _PER_BYTE = 1 << 28, 64  # of memory: arrays are deflated, and texts are twice as long as their numbers
-_FREE_STEPS, _STEPS_PER_BYTE = 1 << 31, 1 << 14  # 200 a byte are usual; a node takes 10,000 a sample of a clip
+# 200 a byte are usual; a node that moves takes 10,000 a sample, however few keys say so: 15 minutes of 100 joints
+_FREE_STEPS, _STEPS_PER_BYTE = 1 << 34, 1 << 14
 _MOST_STEPS = 1 << 38  # some 40 seconds
 _MOST_NOTES = 8  # kinds of what ufbx has mended
 _LONGEST_NAME = 4096
@@ -109,7 +110,7 @@ class Scene:
     settings: Rows
     tables: dict[str, Rows]
     budget: Budget
-    warnings: list[str] = field(default_factory=list)
+    warnings: dict[str, None] = field(default_factory=dict)  # in their order
     files: list[Path] = field(default_factory=list)
 
     @property
@@ -127,8 +128,7 @@ class Scene:
         :param name: of the node, mesh or the like; empty: the file
         """
         line = f"{self.where} -> {ascii(name)[1:-1][:80]}: {what}" if name else f"{self.where}: {what}"
-        if line not in self.warnings:
-            self.warnings.append(line)
+        self.warnings[line] = None
 
     def text(self, span: Rows) -> str:
         """The text of a span: UTF-8, which ufbx has checked, without what no file of ours may hold."""
@@ -175,9 +175,12 @@ class Scene:
         nodes, channels = len(self.tables["nodes"]), len(self.tables["channels"])
         width = 12 * nodes + channels
         self.budget.spend(8 * width * len(times), self.error)
-        at = _allocated(self.run, np.ascontiguousarray(times, "<f8").tobytes())
-        found = self.run.call("sample", stack, at, len(times))
-        data = self.run.read(found, 8 * width * len(times)) if width and len(times) else b""
+        try:
+            at = _allocated(self.run, np.ascontiguousarray(times, "<f8").tobytes())
+            found = self.run.call("sample", stack, at, len(times))
+            data = self.run.read(found, 8 * width * len(times)) if width and len(times) else b""
+        except InputError as error:
+            raise _told(self.path, error) from None
         values = np.frombuffer(data, "<f8").reshape(len(times), width)
         if not (np.abs(values) <= LARGEST).all():
             raise self.error("an animation with NaN, infinity or numbers beyond belief, expected finite ones")
