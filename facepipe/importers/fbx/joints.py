@@ -172,19 +172,16 @@ def read_skin(scene: Scene, name: str, skin: int, joints: Joints, count: int) ->
     """
     row, bound = scene.tables["skins"][skin], joints.skins[skin]
     vertices, weights = scene.array(row["vertices"], SKIN_VERTEX), scene.array(row["weights"], SKIN_WEIGHT)
-    starts, counts = vertices["begin"].astype(np.int64), vertices["count"].astype(np.int64)
-    if len(vertices) != count or (starts + counts).max(initial=0) > len(weights):
+    if len(vertices) != count:
         raise scene.error(f"{len(vertices)} lists of weights for {count} points of {ascii(name)[1:-1][:80]}")
-    scene.budget.spend(24 * int(counts.sum()), scene.error)
-    within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-    listed = weights[np.repeat(starts, counts) + within]
+    listed = weights[scene.places(vertices, len(weights), f"weights of {ascii(name)[1:-1][:80]}")]
     values = listed["weight"].astype(np.float64)
     if not np.isfinite(values).all() or listed["cluster"].max(initial=0) >= len(bound.slots):
         raise scene.error(f"weights of {ascii(name)[1:-1][:80]} that are not finite, expected finite ones")
     if (values < 0).any():
         scene.warn(name, "weights below 0 taken as 0")
         values = np.maximum(values, 0.0)
-    points, slots = np.repeat(np.arange(count), counts), bound.slots[listed["cluster"]]
+    points, slots = np.repeat(np.arange(count), vertices["count"]), bound.slots[listed["cluster"]]
     if int(row["method"]) == _BLENDED:
         scene.warn(name, "blends linear and dual quaternion skinning point by point: taken for linear")
     indices, dense = _dense(scene, points, slots, values, (count, len(joints.skeleton.joints)))

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget
 from facepipe.core.reading import read_bytes
@@ -154,6 +154,18 @@ class Scene:
         if kind.kind == "f" and not (np.abs(values) <= LARGEST).all():
             raise self.error(f"holds NaN, infinity or numbers over {LARGEST:g}, expected finite ones")
         return values if width == 1 else values.reshape(count, width)
+
+    def places(self, runs: Rows, count: int, what: str) -> IntArray:
+        """The places in a list of `count` that runs of it (begin, count) cover, one after another.
+
+        :raises InputError: beyond the list
+        """
+        counts = runs["count"].astype(np.int64)
+        if int((runs["begin"] + counts).max(initial=0)) > count:
+            raise self.error(f"{what} beyond a list of {count}")
+        self.budget.spend(24 * int(counts.sum()), self.error)
+        starts = np.repeat(runs["begin"] - (np.cumsum(counts) - counts), counts)
+        return np.asarray(np.arange(len(starts)) + starts)
 
     def ids(self, span: Rows) -> list[int]:
         """Numbers of rows; `NONE` for none."""
