@@ -116,7 +116,7 @@ class _Textures:
         scene = self.scene
         called = scene.text(row["relative"]) or scene.text(row["absolute"]) or scene.text(row["name"])
         try:
-            data = scene.data(row["content"]) or self._file(row)
+            data = scene.array(row["content"], "u1").tobytes() or self._file(row)
             if data not in self._known:
                 kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
                 if (damage := damage_of(data)) is not None:

@@ -135,14 +135,8 @@ class Scene:
         count = min(int(span["count"]), _LONGEST_NAME)
         return self.run.read(int(span["at"]), count).decode("utf-8", "replace") if count else ""
 
-    def data(self, span: Rows) -> bytes:
-        """The bytes of a span."""
-        count = int(span["count"])
-        self.budget.spend(count, self.error)
-        return self.run.read(int(span["at"]), count) if count else b""
-
     def array(self, span: Rows, dtype: npt.DTypeLike, width: int = 1) -> npt.NDArray[Any]:
-        """The (n,) or (n, width) values of a span, finite where they are numbers.
+        """The (n,) or (n, width) values or rows of a span, finite where they are numbers.
 
         :raises InputError: NaN, infinity or numbers beyond belief
         """
@@ -169,15 +163,15 @@ class Scene:
 
     def ids(self, span: Rows) -> list[int]:
         """Numbers of rows; `NONE` for none."""
-        return [int(one) for one in self.array(span, "<u4")]
+        return list(self.array(span, "<u4").tolist())
 
     def uv_sets(self, mesh: Rows) -> Rows:
         """The rows of a mesh's UV sets: name, values, indices."""
-        return self._rows(mesh["uvs"], _UV)
+        return self.array(mesh["uvs"], _UV)
 
     def keys(self, channel: Rows) -> Rows:
         """The rows of a channel's target shapes: shape, weight."""
-        return self._rows(channel["keys"], _KEY)
+        return self.array(channel["keys"], _KEY)
 
     def samples(self, stack: int, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """World matrices (t, nodes, 4, 4) and weights (t, channels) of an animation.
@@ -197,11 +191,6 @@ class Scene:
         if not (np.abs(values) <= LARGEST).all():
             raise self.error("an animation with NaN, infinity or numbers beyond belief, expected finite ones")
         return matrices(values[:, : 12 * nodes].reshape(len(times), nodes, 12)), values[:, 12 * nodes :]
-
-    def _rows(self, span: Rows, dtype: np.dtype[np.void]) -> Rows:
-        size = int(span["count"]) * dtype.itemsize
-        self.budget.spend(size, self.error)
-        return np.frombuffer(self.run.read(int(span["at"]), size) if size else b"", dtype)
 
 
 def matrices(values: npt.NDArray[Any]) -> FloatArray:
@@ -236,7 +225,7 @@ def open_scene(source: Path, *, strict: bool = False) -> Scene:
             raise InputError(_MODULE.stem, said)
         settings = np.frombuffer(run.read(at, _SCENE.itemsize), _SCENE)[0]
         scene = Scene(source, strict, run, settings, {}, budget, files=[source])
-        scene.tables = {name: scene._rows(settings[name], dtype) for name, dtype in _TABLES.items()}
+        scene.tables = {name: scene.array(settings[name], dtype) for name, dtype in _TABLES.items()}
     except InputError as error:
         raise _told(source, error) from None
     for one in scene.tables["warnings"][:_MOST_NOTES]:
