@@ -141,6 +141,29 @@ class Mesh:
     data_label: str | None = None  # the source's name of the geometry, where the node that shows it has another
 
 
+def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[MaterialFaces, ...]:
+    """Faces by material; `face_material` (f,) indexes `names`, -1 for faces without."""
+    order = np.argsort(face_material, kind="stable")
+    used, starts = np.unique(face_material[order], return_index=True)
+    return tuple(
+        MaterialFaces(material=names[number], faces=faces.astype(np.int32))
+        for number, faces in zip(used, np.split(order, starts[1:]), strict=False)
+        if number >= 0
+    )
+
+
+def bindings(materials: Sequence[str | None], slots: IntArray) -> tuple[str | None, tuple[MaterialFaces, ...]]:
+    """The material of all faces, or faces by material: of the slot (f,) of each; slots beyond the last hold none."""
+    names = [*dict.fromkeys(name for name in materials if name is not None)]
+    numbers = {name: number for number, name in enumerate(names)}
+    of_slot = np.array([*(-1 if name is None else numbers[name] for name in materials), -1])
+    of_face = of_slot[np.minimum(slots, len(materials))]
+    used = np.unique(of_face)
+    if len(used) != 1:
+        return None, material_faces(names, of_face)
+    return (names[used[0]] if used[0] >= 0 else None), ()
+
+
 def all_regions(meshes: Sequence[Mesh]) -> dict[str, FloatArray]:
     """Region -> mask (n,) over the points of all meshes, by name; 0 on meshes without it."""
     names = sorted({name for mesh in meshes for name in mesh.regions})

@@ -35,7 +35,7 @@ class FACEPIPE_OT_transfer(bpy.types.Operator):  # noqa: N801  (Blender's way to
     landmarks: bpy.props.StringProperty(  # type: ignore[valid-type]
         name="Landmarks",
         subtype="FILE_PATH",
-        description="JSON of 68 landmarks of the face, in the coordinates of Blender's world; without they are found",
+        description="JSON of 68 landmarks of the face, in coordinates of Blender's world; without it they are found",
     )
 
     def execute(self, context: Any) -> set[str]:

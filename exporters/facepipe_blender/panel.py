@@ -222,7 +222,7 @@ def register_all() -> None:
     bpy.types.Scene.facepipe_landmarks = bpy.props.StringProperty(
         name="Landmarks",
         subtype="FILE_PATH",
-        description="JSON of 68 landmarks of the face to add shapes to; without they are found",
+        description="JSON of 68 landmarks of the face to add shapes to; without it they are found",
     )
     for one in CLASSES:
         bpy.utils.register_class(one)

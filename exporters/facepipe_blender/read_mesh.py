@@ -14,7 +14,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.hosting.host_face import check_region_name, sculpted
-from facepipe.parts import Blendshape, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.parts import Blendshape, MaterialFaces, Mesh, Skin, UvSet, bindings
 
 from .write_mesh import REGION, SUBSET, read_key_name
 
@@ -215,19 +215,8 @@ def _normals(data: Any, corners: IntArray) -> FloatArray:
 
 def _materials(obj: Any) -> tuple[str | None, tuple[MaterialFaces, ...]]:
     names = [slot.material.name if slot.material else None for slot in obj.material_slots]
-    if not any(names):
-        return None, ()
-    slots = np.minimum(_values(obj.data.polygons, "material_index", np.int32), len(names) - 1)
-    used = np.unique(slots).tolist()
-    if len(used) == 1:
-        return names[used[0]], ()
-    faces: dict[str, list[IntArray]] = {}
-    for slot in used:
-        if name := names[slot]:
-            faces.setdefault(name, []).append(np.flatnonzero(slots == slot))
-    return None, tuple(
-        MaterialFaces(material=name, faces=np.sort(np.concatenate(own)).astype(np.int32)) for name, own in faces.items()
-    )
+    slots = np.minimum(_values(obj.data.polygons, "material_index", np.int32), max(len(names) - 1, 0))
+    return bindings(names, slots)
 
 
 @contextlib.contextmanager

@@ -60,11 +60,12 @@ def unique_identifiers(names: Iterable[str], fallback: str = "unnamed") -> tuple
 
 def numbered(names: Iterable[str], taken: Iterable[str] = ()) -> tuple[str, ...]:
     """The names, in order; one that is already taken gets the next free ``_2``, ``_3`` ..."""
-    used, result = {*taken}, []
+    used, result, following = {*taken}, [], dict[str, int]()
     for name in names:
-        candidate, number = name, 2
+        candidate, number = name, following.get(name, 2)  # from 2 on each time, a name of 100,000 things took minutes
         while candidate in used:
             candidate, number = f"{name}_{number}", number + 1
+        following[name] = number
         used.add(candidate)
         result.append(candidate)
     return tuple(result)

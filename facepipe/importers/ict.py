@@ -28,13 +28,12 @@ from facepipe.importers.wavefront import (
     Obj,
     compact_uvs,
     face_corners,
-    material_faces,
     read_obj,
     read_offsets,
     sparse_shapes,
     whole_region,
 )
-from facepipe.parts import FaceParts, Landmarks, Material, Mesh
+from facepipe.parts import FaceParts, Landmarks, Material, Mesh, material_faces
 from facepipe.stage.recipes import Imported, import_recipe
 
 POINT_COUNT = 26719

@@ -26,8 +26,8 @@ from facepipe.geometry.polygons import merge_points, point_triangles, triangulat
 from facepipe.geometry.vectors import transformed
 from facepipe.importers import kind_of, load
 from facepipe.importers.scan_ply import read_ply
-from facepipe.importers.wavefront import MAX_BYTES, material_faces, read_materials, read_obj, read_text
-from facepipe.parts import Material, Mesh, TextureInput, UvSet
+from facepipe.importers.wavefront import MAX_BYTES, read_materials, read_obj, read_text
+from facepipe.parts import Material, Mesh, TextureInput, UvSet, material_faces
 from facepipe.scans import Scan, ScanHints, ScanPicture, ScanTexture
 
 USD = (".usda", ".usdc", ".usd", ".usdz")

@@ -17,6 +17,7 @@ from facepipe.scans import ScanHints
 
 _CARRIED = 0.5  # weight of the joints of a head from which they carry a point
 _STRONG = 0.5  # of a shape's largest offset: points that move less say little of where it is
+_FAR = 1e3  # metres: eyes that are farther from their joint are nowhere
 _ABOVE_JOINT = 0.35  # height of a head above its joint, in distances from hips to head, as in `rig.plausibility`
 _LEFT, _RIGHT, _BOTH = "eyeBlinkLeft", "eyeBlinkRight", "eyeBlink"
 _MOUTH = ("jawOpen", "viseme_aa", "viseme_O", "viseme_E", "mouthFunnel", "mouthClose")  # the first that is there
@@ -79,13 +80,23 @@ def _near_head(parts: FaceParts, joint: int) -> list[BoolArray] | None:
     bind = parts.skeleton.transform @ parts.skeleton.bind_transforms
     head, spine = bind[joint, :3, 3], bind[joint, :3, 3] - bind[hips, :3, 3]
     middle, reach = head + _ABOVE_JOINT / 2 * spine, _ABOVE_JOINT * float(np.linalg.norm(spine))
-    offset: object = parts.vrm
-    for key in ("VRMC_vrm", "lookAt", "offsetFromHeadBone"):
-        offset = offset.get(key) if isinstance(offset, Mapping) else None
-    if isinstance(offset, list) and len(offset) == 3:  # metres, in the head's own axes
+    offset = _of_vrm(parts, "lookAt", "offsetFromHeadBone")  # metres, in the head's own axes
+    if (
+        isinstance(offset, list)
+        and len(offset) == 3
+        and all(isinstance(one, int | float) and abs(one) < _FAR for one in offset)
+    ):
         middle = head + bind[joint, :3, :3] @ np.asarray(offset, np.float64) / parts.meters_per_unit
     worlds = [transformed(np.asarray(mesh.points, np.float64), mesh.transform) for mesh in parts.meshes]
     return [np.linalg.norm(world - middle, axis=1) < reach for world in worlds]
+
+
+def _of_vrm(parts: FaceParts, *keys: str) -> object:
+    """What a VRM says there, of which a stage may hold anything; None where it says nothing."""
+    found: object = parts.vrm
+    for key in ("VRMC_vrm", *keys):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
 
 
 def _features(parts: FaceParts) -> tuple[FloatArray | None, bool]:
@@ -115,9 +126,7 @@ def _meant(parts: FaceParts) -> Iterator[tuple[str, Mesh, Blendshape]]:
     wanted = {_LEFT, _RIGHT, _BOTH, *_MOUTH}
     shapes = {(mesh.name, shape.name): (mesh, shape) for mesh in parts.meshes for shape in mesh.blendshapes}
     for preset, meant in _PRESETS.items():
-        binds: object = parts.vrm
-        for key in ("VRMC_vrm", "expressions", "preset", preset, "morphTargetBinds"):
-            binds = binds.get(key) if isinstance(binds, Mapping) else None
+        binds = _of_vrm(parts, "expressions", "preset", preset, "morphTargetBinds")
         for bind in binds if isinstance(binds, list) else ():
             found = shapes.get((str(bind.get("node")), str(bind.get("index")))) if isinstance(bind, Mapping) else None
             if found is not None:

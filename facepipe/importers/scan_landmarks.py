@@ -84,10 +84,10 @@ def _at_vertices(path: Path, value: object, mesh: object, scan: Scan | Path | No
         raise InputError(where, "there are no vertices to number, expected a scan from a file")
     if mesh is None and len(vertices) == 1:
         mesh = next(iter(vertices))
-    if mesh not in vertices:
+    if not isinstance(mesh, str) or mesh not in vertices:
         named = ", ".join(ascii(name)[:40] for name in [*vertices][:_NAMED])
         raise InputError(f"{path} -> mesh", f"{ascii(mesh)[:40]}, expected the name of a mesh of the scan: {named}")
-    of_file = vertices[str(mesh)]
+    of_file = vertices[mesh]
     if isinstance(value, list) and len(value) == LANDMARK_COUNT:
         rows = {str(number): one for number, one in enumerate(value) if one is not None}
     elif isinstance(value, Mapping):

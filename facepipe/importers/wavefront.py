@@ -21,7 +21,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import is_file, read_bytes
-from facepipe.parts import Blendshape, Material, MaterialFaces, Texture, TextureInput, UvSet
+from facepipe.parts import Blendshape, Material, Texture, TextureInput, UvSet
 
 MAX_BYTES = 1 << 30
 LARGEST = 1e30  # of a number: it stays finite in float32, its square in float64
@@ -381,15 +381,6 @@ def sparse_shapes(
         if len(moved):
             sparse.append(Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=offsets[moved]))
     return tuple(sparse)
-
-
-def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[MaterialFaces, ...]:
-    """Faces by material; `face_material` (f,) indexes `names`, -1 for faces without."""
-    used = np.unique(face_material[face_material >= 0])
-    return tuple(
-        MaterialFaces(material=names[number], faces=np.flatnonzero(face_material == number).astype(np.int32))
-        for number in used
-    )
 
 
 def whole_region(names: Sequence[str], region: str, count: int) -> dict[str, FloatArray]:

@@ -47,14 +47,15 @@ class Bindings:
         slots = slots.copy()
         if bound.any():
             # inverse_j = B_j^-1 G: where an earlier skin gave B_j, B_j inverse_j is the G of this one, the same for all
+            # but joints that this one binds otherwise; the median is no such joint's, whichever comes first
             factors = np.array([self.binds[slot] for slot in slots[bound].tolist()]) @ inverses[bound]
-            geom_bind = _snapped(factors[0])
-            apart = np.abs(factors - geom_bind).max(axis=(1, 2)) / max(float(np.abs(geom_bind[:3]).max()), 1e-30)
-            other = np.flatnonzero(bound)[apart > _SAME]
+            usual = _apart(factors, np.median(factors, axis=0))
+            geom_bind = _snapped(factors[np.argmax(usual <= max(_SAME, 1.001 * usual.min()))])
+            other = np.flatnonzero(bound)[_apart(factors, geom_bind) > _SAME]
         else:
             # in a file at rest in bind pose world_j inverse_j is G; at another pose they differ, and G is the identity
             factors = worlds @ inverses
-            geom_bind = _snapped(factors[0]) if _difference(factors, factors[0]) <= 10 * _SAME else identity()
+            geom_bind = _snapped(factors[0]) if _apart(factors, factors[0]).max() <= 10 * _SAME else identity()
             if abs(np.linalg.det(geom_bind[:3, :3])) < 1e-30:
                 geom_bind = identity()
             other = np.zeros(0, np.int64)
@@ -149,10 +150,9 @@ def unless_flat(matrix: FloatArray) -> FloatArray:
     return matrix if abs(np.linalg.det(matrix)) > 1e-30 else identity()
 
 
-def _difference(matrices: FloatArray, reference: FloatArray) -> float:
-    """Largest difference of (k, 4, 4) from (4, 4), relative to the size of both."""
-    size = max(float(np.abs(reference[:3]).max()), 1e-30)
-    return float(np.abs(matrices - reference).max()) / size
+def _apart(matrices: FloatArray, reference: FloatArray) -> FloatArray:
+    """(k,) largest differences of (k, 4, 4) from (4, 4), relative to the size of that."""
+    return np.asarray(np.abs(matrices - reference).max(axis=(1, 2)) / max(float(np.abs(reference[:3]).max()), 1e-30))
 
 
 def _snapped(matrix: FloatArray) -> FloatArray:

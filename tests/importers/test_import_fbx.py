@@ -318,6 +318,28 @@ def test_two_skins_that_bind_otherwise_get_joints_of_their_own(tmp_path: Path) -
     assert np.allclose(points[1], POINTS @ hat[:3, :3].T + hat[:3, 3], atol=1e-6)
 
 
+@pytest.mark.parametrize("odd", [0, 1, 2])
+def test_one_joint_that_a_skin_binds_otherwise_is_one_more_wherever_it_comes(odd: int, tmp_path: Path) -> None:
+    scene = Scene()
+    bones = [scene.model(name, of="LimbNode") for name in ("a", "b", "c")]
+    weights, turn = np.eye(5)[:3] + np.array([0.0, 0, 0, 0.5, 0.5]), placed((0, 0, 5), 30)
+    for name, other in (("Face", np.eye(4)), ("Hat", turn)):
+        _, geometry = plain(scene, name)
+        links = [other if number == odd else np.eye(4) for number in range(3)]
+        rows = zip(bones, weights, links, strict=True)
+        scene.skin(geometry, [(bone, range(5), own, np.linalg.inv(link), link) for bone, own, link in rows])
+    imported = read(scene, tmp_path)
+    assert len(imported.parts.skeleton.joints) == 4
+    assert [line for line in imported.warnings if "otherwise" in line] == [
+        "face.fbx -> Hat: binds 1 joints otherwise than an earlier mesh: joints added"
+    ]
+    points, share = build(imported.parts).evaluate().reshape(2, 5, 3), (weights[odd] / weights.sum(axis=0))[:, None]
+    back = np.linalg.inv(turn)
+    assert np.allclose(points[0], POINTS, atol=1e-6)
+    hat = POINTS @ back[:3, :3].T + back[:3, 3]
+    assert np.allclose(points[1], share * hat + (1 - share) * POINTS, atol=1e-5)
+
+
 def test_weights_are_normalised_and_points_without_follow_the_first(tmp_path: Path) -> None:
     scene = Scene()
     bones = [scene.model(name, of="LimbNode") for name in ("a", "b")]

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fbx_files import Scene, binary, full_scene, node
+from fbx_files import Scene, binary, full_scene, layer, layers, node, property70
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from import_data import damaged
 
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.policy.bounds import MOST_OF
 from facepipe.importers import load
 
 pytest.importorskip("wasmtime")
@@ -189,3 +190,66 @@ def test_nodes_that_hold_nothing_do_no_harm(tmp_path: Path) -> None:
     source = tmp_path / "face.fbx"
     source.write_bytes(binary(nodes))
     assert len(load("fbx", source).parts.meshes) == 1
+
+
+@pytest.mark.parametrize("number", [1e30, 1e200, np.inf])
+def test_colours_that_no_stage_holds_are_refused(number: float, tmp_path: Path) -> None:
+    """Also where a factor makes them so: in a stage and in pictures numbers are float32."""
+    scene, model, _ = triangle()
+    listed = [property70(name, "Number", number) for name in ("DiffuseFactor", "EmissiveFactor")]
+    scene.material(model, "skin", property70("EmissiveColor", "Color", number, 1.0, 1.0), *listed)
+    assert "the material skin holds NaN, infinity or numbers over 1e+18" in refusal(scene.binary(), tmp_path)
+
+
+def test_more_meshes_than_a_stage_holds_are_refused(tmp_path: Path) -> None:
+    most = MOST_OF["Mesh"]
+    scene, _, geometry = triangle()
+    for _ in range(most):
+        scene.link(geometry, scene.model("Head", of="Mesh"))
+    assert f"{most + 1} prims of type Mesh, expected at most {most}" in refusal(scene.binary(), tmp_path)
+
+
+def test_more_materials_than_a_stage_holds_are_refused(tmp_path: Path) -> None:
+    scene, most = Scene(), MOST_OF["Material"]
+    model = scene.model("Head", of="Mesh")
+    slots = layer("Material", "ByPolygon", "IndexToDirect", node("Materials", np.arange(most + 1, dtype="i4")))
+    scene.mesh(model, np.eye(3), [[0, 1, 2]] * (most + 1), slots, layers("Material"))
+    for _ in range(most + 1):
+        scene.material(model, "skin")
+    assert f"{most + 1} prims of type Material, expected at most {most}" in refusal(scene.binary(), tmp_path)
+
+
+def test_skins_that_all_bind_otherwise_are_named_once_each(tmp_path: Path) -> None:
+    scene, count = Scene(), 300
+    bones = [scene.model("bone", of="LimbNode") for _ in range(2)]
+    for number in range(count):
+        geometry = scene.mesh(scene.model(f"part {number}", of="Mesh"), np.eye(3), [[0, 1, 2]])
+        ways = zip(bones, (np.eye(4), np.eye(4) + number * np.eye(4, k=3)), strict=True)
+        scene.skin(geometry, [(bone, [0, 1, 2], [0.5] * 3, way, np.eye(4)) for bone, way in ways])
+    source = tmp_path / "face.fbx"
+    source.write_bytes(scene.binary())
+    read = load("fbx", source)
+    named = [line for line in read.warnings if "joints added" in line]
+    assert named[:1] == ["face.fbx -> part 1: binds 1 joints otherwise than an earlier mesh: joints added"]
+    assert len(named) == count - 1 == len(read.parts.skeleton.joints) - 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("minutes", "said"), [(8, ""), (60, "face.fbx: the file asks for far more data than it holds")]
+)
+def test_takes_of_minutes_are_read_however_few_keys_they_have(minutes: int, said: str, tmp_path: Path) -> None:
+    scene, _, geometry = triangle()
+    bones = [scene.model(f"bone {number}", of="LimbNode") for number in range(100)]
+    scene.skin(geometry, [(bone, [0, 1, 2], [1.0] * 3, np.eye(4), np.eye(4)) for bone in bones])
+    take = scene.stack("take", 0, 60 * minutes)
+    for bone in bones:
+        scene.curves(take, bone, "Lcl Rotation", {f"d|{axis}": [(0, 0), (60 * minutes, 90)] for axis in "XYZ"})
+    if said:
+        assert refusal(scene.binary(), tmp_path) == said
+        return
+    source = tmp_path / "face.fbx"
+    source.write_bytes(scene.binary())
+    (clip,) = load("fbx", source).parts.animations
+    assert clip.times is not None
+    assert len(clip.times) == 24 * 60 * minutes + 1

@@ -109,14 +109,19 @@ def face(*, names: tuple[str, str] = ("eyeBlinkLeft", "eyeBlinkRight"), mirror: 
     return FaceParts(meshes=tuple(meshes), skeleton=skeleton, meters_per_unit=0.1)
 
 
-def test_a_head_is_near_a_joint_that_carries_nothing(tmp_path: Path) -> None:
-    """As of meshes that hang on other joints: by where the joint is above the hips, or the avatar looks from."""
+def held_otherwise() -> FaceParts:
+    """Meshes that hang on other joints than the head's."""
     parts = face()
     skins = [replace(mesh.skin, joint_indices=mesh.skin.joint_indices * 0) for mesh in parts.meshes if mesh.skin]
     meshes = tuple(replace(mesh, skin=skin) for mesh, skin in zip(parts.meshes, skins, strict=True))
     bind = parts.skeleton.bind_transforms.copy()
     bind[:, 1, 3] = [-5.0, -3.0, -0.9]
-    held = replace(parts, meshes=meshes, skeleton=replace(parts.skeleton, bind_transforms=bind))
+    return replace(parts, meshes=meshes, skeleton=replace(parts.skeleton, bind_transforms=bind))
+
+
+def test_a_head_is_near_a_joint_that_carries_nothing() -> None:
+    """By where the joint is above the hips, or the avatar looks from."""
+    held = held_otherwise()
     head = hints_of(held).head
     assert head is not None
     piece = hints_of(held).piece
@@ -125,6 +130,13 @@ def test_a_head_is_near_a_joint_that_carries_nothing(tmp_path: Path) -> None:
     looks = {"VRMC_vrm": {"lookAt": {"offsetFromHeadBone": [0.0, 10.0, 0.0]}}}
     assert hints_of(replace(held, vrm=looks)).head is None  # far above it all
     assert hints_of(replace(held, skeleton=replace(held.skeleton, joints=("a", "a/b", "a/head")))).head is None
+
+
+@pytest.mark.parametrize("looks", [["a", 1, 2], [None, 1, 2], [[1], 2, 3], [10**400, 0, 0], [1e300, 0, 0], {}, "abc"])
+def test_what_a_stage_says_of_where_an_avatar_looks_from_is_a_place_or_nothing(looks: Any, tmp_path: Path) -> None:
+    held = held_otherwise()
+    found = hints(replace(held, vrm={"VRMC_vrm": {"lookAt": {"offsetFromHeadBone": looks}}}), tmp_path)
+    assert np.array_equal(found.head, hints_of(held).head)
 
 
 def hints(parts: FaceParts, folder: Path) -> Any:

@@ -14,7 +14,7 @@ from import_data import damaged, refused
 
 from facepipe.core.errors import InputError
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
-from facepipe.scans import ScanLandmarks
+from facepipe.scans import Scan, ScanHints, ScanLandmarks
 
 PLACES = np.random.default_rng(1).normal(size=(68, 3)) * 100
 WHOLE: dict[str, Any] = {
@@ -90,6 +90,24 @@ def test_written_landmarks_read_back_to_the_bit(
 ])  # fmt: skip
 def test_wrong_files_are_one_line(change: dict[str, Any], message: str, tmp_path: Path) -> None:
     error = refused(lambda: read(WHOLE | change, tmp_path), tmp_path / "scan.landmarks.json")
+    assert error is not None
+    assert message in str(error)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"mesh": ["a"]}, "mesh: ['a'], expected the name of a mesh of the scan: 'a', 'b'"),
+    ({"mesh": {}}, "mesh: {}, expected the name of a mesh"),
+    ({}, "mesh: None, expected the name of a mesh"),
+    ({"mesh": "a", "vertices": {"68": 1}}, "landmark '68', expected a number from 0 to 67"),
+    ({"mesh": "a", "vertices": {"3": 4}}, "vertices -> 3: 4, expected 0 to 3"),
+    ({"mesh": "a", "vertices": {"3": True}}, "vertices -> 3: True"),
+    ({"mesh": "a", "vertices": [1] * 67}, "expected a list of 68, or an object by number"),
+])  # fmt: skip
+def test_vertices_that_are_not_there_are_one_line(change: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = tmp_path / "scan.landmarks.json"
+    path.write_text(json.dumps({"vertices": {"30": 1}} | change))
+    scan = Scan(name="scan", points=np.eye(4, 3), hints=ScanHints(vertices={"a": np.eye(4, 3), "b": np.eye(4, 3)}))
+    error = refused(lambda: read_scan_landmarks(path, scan), path)
     assert error is not None
     assert message in str(error)
 

@@ -16,6 +16,8 @@ from solids import ball
 
 from facepipe.core.errors import FitError
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
+from facepipe.geometry.face_crops import from_crop, turned_crop
+from facepipe.geometry.landmarks import MIRRORED
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 from facepipe.geometry.polygons import small_holes
 from facepipe.importers.scan_file import read_scan
@@ -25,14 +27,11 @@ from facepipe.scanning.landmarks import FindScanLandmarks
 from facepipe.scanning.landmarks.find import _Search
 from facepipe.scanning.landmarks.search import (
     LEFT_EYE,
-    MIRRORED,
     MOUTH,
     RIGHT_EYE,
     FaceFrame,
     _apart,
-    _crop_matrix,
-    _in_picture,
-    _turned,
+    _middle_crop,
     axis_views,
     face_frame,
 )
@@ -148,17 +147,13 @@ def test_small_holes_close_and_large_ones_stay() -> None:
     assert len(closed.points) == len(look.points) + 1
 
 
-def test_a_crop_is_a_turned_square_about_its_middle() -> None:
-    matrix = _crop_matrix(np.array([30.0, 20.0]), 16.0, np.pi / 2, 8)
-    pixels = np.array([[4.0, 4.0, 1.0], [8.0, 4.0, 1.0], [4.0, 0.0, 1.0]])  # the middle, to its right, above it
-    places = [[30, 20], [30, 28], [38, 20]]
-    np.testing.assert_allclose(pixels @ matrix.T, places, atol=1e-12)
-    np.testing.assert_allclose(_in_picture(pixels[None, :, :2], matrix[None]), [places], atol=1e-12)
-
-
-def test_a_turned_crop_is_a_crop_of_the_sum_of_turns_about_the_same_middle() -> None:
-    crop, turned = (_crop_matrix(np.array([30.0, 20.0]), side, turn, 8) for side, turn in ((16.0, 0.2), (20.0, 0.5)))
-    np.testing.assert_allclose(_turned(crop, 0.3, 1.25, 8), turned, atol=1e-12)
+def test_crops_about_the_middle_turn_and_grow_about_it() -> None:
+    middle = _middle_crop(40, 2.0, 8)
+    pixels = np.array([[4.0, 4.0], [8.0, 4.0], [4.0, 0.0]])  # the middle, to its right, above it
+    places = [[20, 20], [20, 28], [28, 20]]
+    np.testing.assert_allclose(from_crop(pixels, turned_crop(middle, np.pi / 2, 1.0, 8)), places, atol=1e-12)
+    twice = turned_crop(turned_crop(middle, 0.2, 1.0, 8), 0.3, 1.25, 8)
+    np.testing.assert_allclose(twice, turned_crop(middle, 0.5, 1.25, 8), atol=1e-12)
 
 
 def test_views_along_the_axes_look_both_ways_through_upright_squares() -> None:
@@ -210,7 +205,7 @@ def test_the_frame_of_a_face_turns_with_it() -> None:
 def test_the_other_sides_landmarks_are_those_of_a_symmetric_face() -> None:
     points = ict().neutral[ict().landmarks]
     assert np.abs(points[MIRRORED] * [-1, 1, 1] - points).max() < 0.5  # mm
-    assert (MIRRORED[MIRRORED] == np.arange(68)).all()
+    assert [MIRRORED[one] for one in MIRRORED] == [*range(68)]
 
 
 def finder() -> FindScanLandmarks:

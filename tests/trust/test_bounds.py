@@ -9,6 +9,7 @@ import pytest
 from facepipe_gltf.read.document import Value, open_document
 
 from facepipe.core.errors import InputError
+from facepipe.core.names import numbered
 from facepipe.core.policy.bounds import Budget, same_file
 
 
@@ -43,3 +44,10 @@ def test_buffers_of_one_file_share_its_bytes(tmp_path: Path) -> None:
     assert [len(data) for data in read] == [100, 90, 80]
     assert len({id(data.obj) for data in read}) == 1
     assert document.budget.held == 100
+
+
+def test_a_name_that_all_have_is_numbered_in_one_pass() -> None:
+    names = numbered(["a", "a_7"] * 50_000)
+    assert len(set(names)) == len(names) == 100_000
+    assert names[:6] == ("a", "a_7", "a_2", "a_7_2", "a_3", "a_7_3")
+    assert names[12:14] == ("a_8", "a_7_7")

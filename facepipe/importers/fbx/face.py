@@ -55,6 +55,8 @@ def _parts(scene: Scene, options: FbxOptions) -> FaceParts:
         raise scene.error(f"a unit of {meters:g} m, expected 1e-06 to 1000 (option meters_per_unit gives it)")
     turn, up_axis = turn_of(scene)
     nodes = bones.read_nodes(scene, turn)
+    shown = scene.tables["meshes"][[nodes.meshes[node] for node in nodes.shown]]
+    check_counts(scene.where, {"Mesh": len(shown), "BlendShape": int(shown["channels"]["count"].sum())})
     certain, perhaps = bones.bones_of(scene, nodes, motion.moved_nodes(scene))
     tracks = motion.read_tracks(scene, turn, certain | perhaps, options.fps)
     carried = {node for node in perhaps if any(not bones.still(one.worlds[node], nodes.worlds[node]) for one in tracks)}
@@ -64,7 +66,8 @@ def _parts(scene: Scene, options: FbxOptions) -> FaceParts:
     meshes = assembly.meshes()
     if not meshes:
         raise scene.error("no mesh with polygons, expected one")
-    bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
+    bound = {name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))}
+    check_counts(scene.where, {"Material": len(bound - {None})})
     animations = motion.animations(scene, tracks, joints, assembly.shapes)
     _note_losses(scene)
     return with_baked_uvs(
@@ -85,7 +88,7 @@ def _parts(scene: Scene, options: FbxOptions) -> FaceParts:
 def _shape_names(scene: Scene, nodes: Nodes, tracks: list[Track]) -> dict[int, str]:
     """What the shape of every channel is called, meshes in the order that they are shown."""
     channels: dict[int, str] = {}
-    for mesh in dict.fromkeys(nodes.meshes[node] for node in nodes.order if nodes.meshes[node] >= 0):
+    for mesh in dict.fromkeys(nodes.meshes[node] for node in nodes.shown):
         own = channels_of(scene, mesh)
         channels |= dict(zip(own, handles([*own.values()], "shape"), strict=True))
     return motion.channels_apart(scene, tracks, channels)
@@ -113,11 +116,7 @@ class _Assembly:
 
     def meshes(self) -> tuple[Mesh, ...]:
         """All meshes, depth first, called as the nodes that show them, or as themselves."""
-        scene, nodes = self.scene, self.nodes
-        shown = [node for node in nodes.order if nodes.meshes[node] >= 0]
-        channels = [len(channels_of(scene, nodes.meshes[node])) for node in shown]
-        check_counts(scene.where, {"Mesh": len(shown), "BlendShape": sum(channels)})
-        read = [mesh for mesh in map(self._show, shown) if mesh is not None]
+        read = [mesh for mesh in map(self._show, self.nodes.shown) if mesh is not None]
         exact = [mesh.label or mesh.data_label or "" for mesh in read]
         return tuple(
             replace(
@@ -143,8 +142,8 @@ class _Assembly:
         own = scene.text(scene.tables["meshes"][number]["name"])
         mesh = replace(mesh, blendshapes=shapes, label=name, data_label=own)
         scene.budget.spend(_COPIES * sum(one.nbytes for one in _arrays(mesh)), scene.error)
-        skin = bones.skin_of(scene, number)
-        if skin is not None:
+        skin = nodes.skins[node]
+        if skin >= 0:
             if scene.tables["meshes"][number]["skins"]["count"] > 1:
                 scene.warn(name, "several skins: the first is kept")
             weights = bones.read_skin(scene, name, skin, self.joints, len(mesh.points))

@@ -24,10 +24,15 @@ class Nodes:
     names: list[str]
     parents: list[int]  # -1: the root
     meshes: list[int]  # -1: shows none
-    skinned: list[bool]
+    skins: list[int]  # of that mesh the first that has clusters, -1: none
     worlds: FloatArray  # (n, 4, 4) in the axes of the face
     geometry: FloatArray  # (n, 4, 4) mesh -> node
     order: list[int]  # depth first
+
+    @property
+    def shown(self) -> list[int]:
+        """Those that show a mesh, depth first."""
+        return [node for node in self.order if self.meshes[node] >= 0]
 
 
 def read_nodes(scene: Scene, turn: FloatArray) -> Nodes:
@@ -50,21 +55,18 @@ def read_nodes(scene: Scene, turn: FloatArray) -> Nodes:
         node = stack.pop()
         order.append(node)
         stack.extend(reversed(children[node]))
-    skinned = [mesh >= 0 and skin_of(scene, mesh) is not None for mesh in meshes]
-    return Nodes([scene.text(row["name"]) for row in rows], parents, meshes, skinned, worlds, geometry, order)
-
-
-def skin_of(scene: Scene, mesh: int) -> int | None:
-    """The skin of a mesh: the first that has clusters."""
-    skins = scene.ids(scene.tables["meshes"][mesh]["skins"])
-    return next((one for one in skins if scene.tables["skins"][one]["clusters"]["count"]), None)
+    bound = scene.tables["skins"]["clusters"]["count"]
+    listed = [scene.ids(row["skins"]) for row in scene.tables["meshes"]]
+    of_mesh = [next((skin for skin in own if bound[skin]), -1) for own in listed]
+    skins = [-1 if mesh < 0 else of_mesh[mesh] for mesh in meshes]
+    return Nodes([scene.text(row["name"]) for row in rows], parents, meshes, skins, worlds, geometry, order)
 
 
 def bones_of(scene: Scene, nodes: Nodes, moved: set[int]) -> tuple[set[int], set[int]]:
     """Nodes that are bones or that skins name, and those that are moved and carry meshes or bones as such do."""
     bones = {node for node, row in enumerate(scene.tables["nodes"]) if row["bone"]}
     bones |= {int(row["node"]) for row in scene.tables["clusters"] if row["node"] != NONE}
-    carries = [node in bones or (mesh >= 0 and not nodes.skinned[node]) for node, mesh in enumerate(nodes.meshes)]
+    carries = [node in bones or (mesh >= 0 and nodes.skins[node] < 0) for node, mesh in enumerate(nodes.meshes)]
     for node in reversed(nodes.order):
         if carries[node] and nodes.parents[node] >= 0:
             carries[nodes.parents[node]] = True
@@ -106,7 +108,10 @@ def read_joints(scene: Scene, nodes: Nodes, bones: set[int], turn: FloatArray) -
         while above >= 0 and above not in of_node:
             above = nodes.parents[above]
         parents.append(of_node.get(above, -1))
-    skins = {skin: scene.ids(scene.tables["skins"][skin]["clusters"]) for skin in _shown_skins(scene, nodes)}
+    shown: dict[int, str] = {}  # skin -> name of the node that shows its mesh first
+    for node in nodes.shown:
+        shown.setdefault(nodes.skins[node], nodes.names[node])
+    skins = {skin: scene.ids(scene.tables["skins"][skin]["clusters"]) for skin in shown if skin >= 0}
     clusters = scene.tables["clusters"]
     bind_worlds = turn @ matrices(clusters["bind_to_world"])
     inverses = matrices(clusters["geometry_to_bone"])
@@ -122,11 +127,9 @@ def read_joints(scene: Scene, nodes: Nodes, bones: set[int], turn: FloatArray) -
         some = [own[place] for place in first]
         one, others = bindings.add(slots[first], grow @ inverses[some], bind_worlds[some] @ shrink)
         if others:
-            scene.warn(
-                _skin_name(scene, nodes, skin), f"binds {others} joints otherwise than an earlier mesh: joints added"
-            )
+            scene.warn(shown[skin], f"binds {others} joints otherwise than an earlier mesh: joints added")
         if len(first) < len(slots) and np.abs(inverses[own] - inverses[some][inverse]).max() > _ALIKE:
-            scene.warn(_skin_name(scene, nodes, skin), "binds a joint twice, each time otherwise: the first is kept")
+            scene.warn(shown[skin], "binds a joint twice, each time otherwise: the first is kept")
         bound[skin] = BoundSkin(one.slots[inverse], one.geom_bind)
     rest = np.array(
         [
@@ -141,18 +144,6 @@ def read_joints(scene: Scene, nodes: Nodes, bones: set[int], turn: FloatArray) -
     skeleton = bindings.skeleton(given, parents, rest, lambda size: scene.budget.spend(size, scene.error))
     numbered = {skin: bindings.numbered(one, len(order)) for skin, one in bound.items()}
     return Joints(skeleton, order, of_node, parents, shrink, numbered)
-
-
-def _shown_skins(scene: Scene, nodes: Nodes) -> list[int]:
-    """Skins of the meshes that nodes show, in their order."""
-    found = (skin_of(scene, nodes.meshes[node]) for node in nodes.order if nodes.meshes[node] >= 0)
-    return list(dict.fromkeys(skin for skin in found if skin is not None))
-
-
-def _skin_name(scene: Scene, nodes: Nodes, skin: int) -> str:
-    """The node that shows the mesh of a skin."""
-    shown = (node for node in nodes.order if nodes.meshes[node] >= 0 and skin_of(scene, nodes.meshes[node]) == skin)
-    return nodes.names[next(shown)]
 
 
 def _check(scene: Scene, nodes: Nodes, clusters: Rows, inverses: FloatArray, used: Sequence[int]) -> None:
@@ -181,19 +172,16 @@ def read_skin(scene: Scene, name: str, skin: int, joints: Joints, count: int) ->
     """
     row, bound = scene.tables["skins"][skin], joints.skins[skin]
     vertices, weights = scene.array(row["vertices"], SKIN_VERTEX), scene.array(row["weights"], SKIN_WEIGHT)
-    starts, counts = vertices["begin"].astype(np.int64), vertices["count"].astype(np.int64)
-    if len(vertices) != count or (starts + counts).max(initial=0) > len(weights):
+    if len(vertices) != count:
         raise scene.error(f"{len(vertices)} lists of weights for {count} points of {ascii(name)[1:-1][:80]}")
-    scene.budget.spend(24 * int(counts.sum()), scene.error)
-    within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
-    listed = weights[np.repeat(starts, counts) + within]
+    listed = weights[scene.places(vertices, len(weights), f"weights of {ascii(name)[1:-1][:80]}")]
     values = listed["weight"].astype(np.float64)
     if not np.isfinite(values).all() or listed["cluster"].max(initial=0) >= len(bound.slots):
         raise scene.error(f"weights of {ascii(name)[1:-1][:80]} that are not finite, expected finite ones")
     if (values < 0).any():
         scene.warn(name, "weights below 0 taken as 0")
         values = np.maximum(values, 0.0)
-    points, slots = np.repeat(np.arange(count), counts), bound.slots[listed["cluster"]]
+    points, slots = np.repeat(np.arange(count), vertices["count"]), bound.slots[listed["cluster"]]
     if int(row["method"]) == _BLENDED:
         scene.warn(name, "blends linear and dual quaternion skinning point by point: taken for linear")
     indices, dense = _dense(scene, points, slots, values, (count, len(joints.skeleton.joints)))

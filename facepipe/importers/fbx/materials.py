@@ -7,8 +7,9 @@ alpha, which ufbx undoes. Transparency is the factor times the colour, and many 
 from __future__ import annotations
 
 import io
+import itertools
 import ntpath
-from collections.abc import Hashable, Iterable
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -22,11 +23,12 @@ from facepipe.core.policy.bounds import same_file
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import is_file, read_bytes
 from facepipe.importers.fbx.meshes import FIRST_UV_SET
-from facepipe.importers.fbx.scene import MAPS, NONE, Rows, Scene, open_scene
+from facepipe.importers.fbx.scene import LARGEST, MAPS, NONE, Rows, Scene, open_scene
 from facepipe.importers.wavefront import MAX_TEXTURE_BYTES
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
+Quadruple = tuple[float, float, float, float]
 _SIGNATURES = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpg"}
 _DECODED = ("WEBP", "AVIF", "TGA", "BMP", "TIFF")  # to PNG, which all readers know
 _CLAMPED = 1  # ufbx_wrap_mode
@@ -38,16 +40,15 @@ def material_names(scene: Scene) -> list[str]:
 
 
 def read_materials(
-    scene: Scene, names: list[str], used: Iterable[str | None], uv_sets: dict[str, str]
+    scene: Scene, names: list[str], used: Collection[str | None], uv_sets: dict[str, str]
 ) -> tuple[Material, ...]:
     """The materials in `used`, in the order of the file.
 
     :param uv_sets: the file's name of each UV set -> its name on the face
     :raises InputError: values that are not finite; of a strict reader, a texture that can't be read
     """
-    wanted, textures = set(used), _Textures(scene, uv_sets)
-    rows = zip(names, scene.tables["materials"], strict=True)
-    return tuple(_material(scene, textures, name, row) for name, row in rows if name in wanted)
+    textures, rows = _Textures(scene, uv_sets), zip(names, scene.tables["materials"], strict=True)
+    return tuple(_material(scene, textures, name, row) for name, row in rows if name in used)
 
 
 def picture_names(source: Path) -> list[str]:
@@ -79,10 +80,11 @@ class _Textures:
     uv_sets: dict[str, str]
     _read: dict[int, Texture | None] = field(default_factory=dict)
     _known: dict[bytes, Texture] = field(default_factory=dict)
+    _stems: set[str] = field(default_factory=set)  # of their names
     _files: dict[Hashable, bytes] = field(default_factory=dict)  # beside it, by `same_file`
 
     def input(
-        self, number: int, channels: Channels, scale: tuple[float, ...], bias: tuple[float, ...] = (0.0,) * 4
+        self, number: int, channels: Channels, scale: Quadruple, bias: Quadruple = (0.0,) * 4
     ) -> TextureInput | None:
         """A material input of a texture; None, with a warning, where there is no picture of it.
 
@@ -104,8 +106,8 @@ class _Textures:
             channels=channels,
             uv_set=self.uv_sets.get(self.scene.text(row["uv_set"]), FIRST_UV_SET),
             uv_transform=_uv_transform(row),
-            scale=(scale[0], scale[1], scale[2], scale[3]),
-            bias=(bias[0], bias[1], bias[2], bias[3]),
+            scale=scale,
+            bias=bias,
             wrap_s=wraps[0],
             wrap_t=wraps[1],
         )
@@ -114,17 +116,18 @@ class _Textures:
         scene = self.scene
         called = scene.text(row["relative"]) or scene.text(row["absolute"]) or scene.text(row["name"])
         try:
-            data = scene.data(row["content"]) or self._file(row)
+            data = scene.array(row["content"], "u1").tobytes() or self._file(row)
             if data not in self._known:
                 kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
                 if (damage := damage_of(data)) is not None:
                     raise InputError(scene.where, f"texture {ascii(called)[1:-1][:80]} {damage}")
                 stem = PurePosixPath(file_name(ntpath.basename(called), "texture")).stem
-                taken = {one.name.rpartition(".")[0] for one in self._known.values()}
-                free = next(one for n in range(1, 10**6) if (one := f"{stem}_{n}" if n > 1 else stem) not in taken)
+                free = itertools.chain([stem], (f"{stem}_{n}" for n in itertools.count(len(self._stems) + 1)))
+                stem = next(one for one in free if one not in self._stems)
                 self._known[data] = Texture(
-                    name=f"{free}.{kind or 'png'}", data=data if kind else _as_png(data, called)
+                    name=f"{stem}.{kind or 'png'}", data=data if kind else _as_png(data, called)
                 )
+                self._stems.add(stem)
             return self._known[data]
         except InputError as error:
             if scene.strict:
@@ -178,17 +181,16 @@ def _has_alpha(data: bytes) -> bool:
 def _uv_transform(row: Rows) -> UvTransform:
     """The rows of what the file does to UVs before it looks into the picture; both count v up."""
     columns = np.asarray(row["uv_to_texture"]).reshape(4, 3)
-    (a, d), (b, e), (c, f) = columns[0, :2], columns[1, :2], columns[3, :2]
-    if not np.isfinite(columns).all():
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-    return (float(a), float(b), float(c), float(d), float(e), float(f))
+    (a, d), (b, e), (c, f) = columns[[0, 1, 3], :2].tolist()
+    return (a, b, c, d, e, f) if (np.abs(columns) <= LARGEST).all() else (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 def _material(scene: Scene, textures: _Textures, name: str, row: Rows) -> Material:
     maps = dict(zip(MAPS, row["maps"], strict=True))
     label = scene.text(row["name"])
-    if not np.isfinite(row["maps"]["value"]).all():
-        raise scene.error(f"the material {ascii(name)[1:-1][:80]} has values that are not finite")
+    if not (np.abs(row["maps"]["value"]) <= LARGEST).all():
+        what = f"holds NaN, infinity or numbers over {LARGEST:g}, expected finite ones"
+        raise scene.error(f"the material {ascii(name)[1:-1][:80]} {what}")
 
     def number(key: str, default: float) -> float:
         return float(maps[key]["value"][0]) if maps[key]["given"] else default
@@ -205,8 +207,7 @@ def _material(scene: Scene, textures: _Textures, name: str, row: Rows) -> Materi
     roughness = scalar("roughness", 0.5)
     if not maps["roughness"]["given"] and maps["glossiness"]["given"]:
         roughness = _unit(1.0 - number("glossiness", 0.5))
-    bump = textures.scene.tables["textures"]
-    if maps["bump"]["texture"] != NONE and maps["normal"]["texture"] == NONE and len(bump):
+    if maps["bump"]["texture"] != NONE and maps["normal"]["texture"] == NONE:
         scene.warn(label, "its bump map is left out: only normal maps are kept")
     ior = number("ior", 1.5)
     return Material(

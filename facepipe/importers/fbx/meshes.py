@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,8 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.names import handles, unique_identifiers
 from facepipe.geometry.vectors import unit_vectors
 from facepipe.importers.fbx.scene import NONE, Rows, Scene
-from facepipe.importers.wavefront import compact_uvs, face_corners
-from facepipe.parts import Blendshape, Inbetween, MaterialFaces, Mesh, UvSet
+from facepipe.importers.wavefront import compact_uvs
+from facepipe.parts import Blendshape, Inbetween, MaterialFaces, Mesh, UvSet, bindings
 
 _FACE = np.dtype([("begin", "<u4"), ("count", "<u4")])
 FIRST_UV_SET = "st"  # whatever the file calls it: materials of several meshes read it, and their names differ
@@ -22,11 +23,24 @@ FIRST_UV_SET = "st"  # whatever the file calls it: materials of several meshes r
 
 @dataclass(frozen=True)
 class Corners:
-    """The faces of a mesh that are kept, and the places of their corners in the file's lists."""
+    """The faces of a mesh of `count` points that are kept, and their corners."""
 
     counts: IntArray
-    places: IntArray
+    places: IntArray  # of each corner in the file's lists
     faces: IntArray  # numbers of the kept faces
+    points: IntArray  # point of each corner
+    count: int
+
+    @cached_property
+    def cover(self) -> bool:
+        """Whether each point is in a face."""
+        return bool(np.bincount(self.points, minlength=self.count).all())
+
+    def of_points(self, values: FloatArray) -> FloatArray | None:
+        """Values (count, k) of the points, of those of the corners; None where a point has several or none."""
+        found = np.zeros((self.count, values.shape[1]), values.dtype)
+        found[self.points] = values
+        return found if self.cover and np.array_equal(found[self.points], values) else None
 
 
 def read_mesh(scene: Scene, name: str, mesh: int, materials: Sequence[str | None]) -> Mesh | None:
@@ -37,43 +51,38 @@ def read_mesh(scene: Scene, name: str, mesh: int, materials: Sequence[str | None
     """
     row = scene.tables["meshes"][mesh]
     points = scene.array(row["points"], "<f8", 3)
-    indices = scene.array(row["indices"], "<u4")
-    corners = _corners(scene, name, row, len(indices))
+    corners = _corners(scene, name, row, len(points))
     if not len(corners.counts):
         return None
-    used = indices[corners.places].astype(np.int32)
-    if used.max() >= len(points):
-        raise scene.error(f"corners of {ascii(name)[1:-1][:80]} beyond its {len(points)} points")
+    material, material_faces = _bindings(scene, row, corners, materials)
     return Mesh(
         name="mesh",
         points=points.astype(np.float32),
         face_vertex_counts=corners.counts,
-        face_vertex_indices=used,
-        normals=_normals(scene, row, corners, used, len(points)),
-        uv_sets=_uv_sets(scene, row, corners, used, len(points)),
-        colors=_colors(scene, name, row, corners, used, len(points)),
-        **_bindings(scene, name, row, corners, materials),
+        face_vertex_indices=corners.points,
+        normals=_normals(scene, row, corners),
+        uv_sets=_uv_sets(scene, row, corners),
+        colors=_colors(scene, name, row, corners),
+        material=material,
+        material_faces=material_faces,
     )
 
 
 def _corners(scene: Scene, name: str, row: Rows, count: int) -> Corners:
-    faces = scene.array(row["faces"], _FACE)
-    starts, counts = faces["begin"].astype(np.int64), faces["count"].astype(np.int64)
-    if int((starts + counts).max(initial=0)) > count:
-        raise scene.error(f"faces of {ascii(name)[1:-1][:80]} beyond its {count} corners")
-    kept = counts >= 3
+    faces, indices = scene.array(row["faces"], _FACE), scene.array(row["indices"], "<u4")
+    kept = faces["count"] >= 3
     if not kept.all():
         scene.warn(name, f"{int((~kept).sum())} faces with fewer than three corners are left out")
     holes = scene.array(row["holes"], "u1")
     if len(holes) == len(kept) and holes.any():
         scene.warn(name, f"{int(holes.sum())} faces that are holes are left out")
         kept &= holes == 0
-    chosen = np.flatnonzero(kept)
-    scene.budget.spend(8 * int(counts[chosen].sum()), scene.error)
-    within = face_corners(counts[chosen].astype(np.int32), np.arange(len(chosen)))
-    first = np.cumsum(counts[chosen]) - counts[chosen]
-    places = within - np.repeat(first, counts[chosen]) + np.repeat(starts[chosen], counts[chosen])
-    return Corners(counts[chosen].astype(np.int32), places, chosen)
+    called, chosen = ascii(name)[1:-1][:80], np.flatnonzero(kept)
+    places = scene.places(faces[chosen], len(indices), f"faces of {called}")
+    points = indices[places].astype(np.int32)
+    if len(places) and indices[places].max() >= count:
+        raise scene.error(f"corners of {called} beyond its {count} points")
+    return Corners(faces["count"][chosen].astype(np.int32), places, chosen, points, count)
 
 
 def _at_corners(
@@ -88,25 +97,16 @@ def _at_corners(
     return listed, which[corners.places].astype(np.int64)
 
 
-def _of_points(values: FloatArray, used: IntArray, count: int) -> FloatArray | None:
-    """Values (count, k) of the points, zero for those in no face; None where corners of a point differ."""
-    of_points = np.zeros((count, values.shape[1]), values.dtype)
-    of_points[used] = values
-    return of_points if np.array_equal(of_points[used], values) else None
-
-
-def _normals(scene: Scene, row: Rows, corners: Corners, used: IntArray, count: int) -> FloatArray | None:
+def _normals(scene: Scene, row: Rows, corners: Corners) -> FloatArray | None:
     found = _at_corners(scene, row["normals"], row["normal_indices"], 3, corners)
     if found is None:
         return None
     at_corners = unit_vectors(found[0][found[1]]).astype(np.float32)
-    if len(np.unique(used)) < count:  # a point in no face has no normal
-        return at_corners
-    of_points = _of_points(at_corners, used, count)
+    of_points = corners.of_points(at_corners)
     return at_corners if of_points is None else of_points
 
 
-def _uv_sets(scene: Scene, row: Rows, corners: Corners, used: IntArray, count: int) -> tuple[UvSet, ...]:
+def _uv_sets(scene: Scene, row: Rows, corners: Corners) -> tuple[UvSet, ...]:
     sets = []
     rows = scene.uv_sets(row)
     names = unique_identifiers([FIRST_UV_SET, *(scene.text(one["name"]) for one in rows[1:])], FIRST_UV_SET)
@@ -115,7 +115,7 @@ def _uv_sets(scene: Scene, row: Rows, corners: Corners, used: IntArray, count: i
         if found is None:
             continue
         values, which = found[0].astype(np.float32), found[1]
-        of_points = _of_points(values[which], used, count) if len(np.unique(used)) == count else None
+        of_points = corners.of_points(values[which])
         sets.append(
             UvSet(name=name, values=of_points)
             if of_points is not None
@@ -124,41 +124,29 @@ def _uv_sets(scene: Scene, row: Rows, corners: Corners, used: IntArray, count: i
     return tuple(sets)
 
 
-def _colors(scene: Scene, name: str, row: Rows, corners: Corners, used: IntArray, count: int) -> FloatArray | None:
+def _colors(scene: Scene, name: str, row: Rows, corners: Corners) -> FloatArray | None:
     found = _at_corners(scene, row["colors"], row["color_indices"], 4, corners)
     if found is None:
         return None
     if row["color_sets"] > 1:
         scene.warn(name, f"{row['color_sets']} sets of vertex colours: the first is kept")
     at_corners = found[0][found[1]].astype(np.float32)
-    colors = np.ones((count, 4), np.float32)
-    colors[used[::-1]] = at_corners[::-1]  # the first corner of a point
-    if np.abs(colors[used] - at_corners)[:, :3].max() > 1e-3:
+    colors = np.ones((corners.count, 4), np.float32)
+    colors[corners.points[::-1]] = at_corners[::-1]  # the first corner of a point
+    if np.abs(colors[corners.points] - at_corners)[:, :3].max() > 1e-3:
         scene.warn(name, "vertex colours differ at seams: one colour of each point is kept")
     if (colors[:, 3] != 1.0).any():
         scene.warn(name, "opacity of vertex colours left out")
     return np.clip(colors[:, :3], 0.0, 1.0)
 
 
-def _bindings(scene: Scene, name: str, row: Rows, corners: Corners, materials: Sequence[str | None]) -> dict[str, Any]:
-    """The material of a mesh, or of its faces."""
+def _bindings(
+    scene: Scene, row: Rows, corners: Corners, materials: Sequence[str | None]
+) -> tuple[str | None, tuple[MaterialFaces, ...]]:
     slots = scene.array(row["materials"], "<u4")
     if not len(materials) or len(slots) <= int(corners.faces.max()):
-        return {"material": materials[0] if len(materials) else None}
-    of_face = slots[corners.faces].astype(np.int64)
-    bound = {slot: materials[slot] if slot < len(materials) else None for slot in np.unique(of_face).tolist()}
-    if len(bound) == 1:
-        return {"material": next(iter(bound.values()))}
-    by_material: dict[str, list[IntArray]] = {}
-    for slot, material in bound.items():
-        if material is not None:
-            by_material.setdefault(material, []).append(np.flatnonzero(of_face == slot))
-    return {
-        "material_faces": tuple(
-            MaterialFaces(material=material, faces=np.sort(np.concatenate(faces)).astype(np.int32))
-            for material, faces in by_material.items()
-        )
-    }
+        return materials[0] if len(materials) else None, ()
+    return bindings(materials, slots[corners.faces])
 
 
 def channels_of(scene: Scene, mesh: int) -> dict[int, str]:

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray
-from facepipe.core.names import first_names, handles
+from facepipe.core.arrays import FloatArray
+from facepipe.core.names import first_names, handles, numbered
 from facepipe.importers.fbx.joints import Joints
 from facepipe.importers.fbx.scene import Rows, Scene
 from facepipe.parts import Animation, identity
 from facepipe.rig.animation import ON_FRAME, TICK, whole_frames, with_exact_scales
-from facepipe.rig.trs import decompose
+from facepipe.rig.trs import Trs, decompose
 
 _RATE = 24.0  # frames per second where the file has none
 _AT_ONCE = 64  # samples
@@ -34,7 +34,6 @@ class Track:
     times: FloatArray  # (t,) seconds
     worlds: Mapping[int, FloatArray]  # (t, 4, 4) by node, in the axes of the face
     weights: FloatArray  # (t, channels)
-    moved: BoolArray  # (channels,) whether a curve moves it
 
 
 def frame_rate(scene: Scene, fps: float | None) -> float:
@@ -75,9 +74,8 @@ def read_tracks(scene: Scene, turn: FloatArray, nodes: Collection[int], fps: flo
             found, some = scene.samples(number, times[start : start + _AT_ONCE])
             worlds[start : start + _AT_ONCE] = turn @ found[:, chosen]
             weights.append(some)
-        moved = scene.array(stack["moved"], "u1")[len(scene.tables["nodes"]) :] > 0
         by_node = {node: worlds[:, place] for place, node in enumerate(chosen)}
-        tracks.append(Track(name, times, by_node, np.concatenate(weights), moved))
+        tracks.append(Track(name, times, by_node, np.concatenate(weights)))
     return tracks
 
 
@@ -112,14 +110,11 @@ def animations(
     """
     made = []
     for track in tracks:
-        moving = [*_joint_motion(scene, track, joints), *_shape_motion(track, shapes)]
-        if not moving:
+        moving = _joint_motion(scene, track, joints) | _shape_motion(track, shapes)
+        if moving:
+            made.append(Animation(name=track.name, times=track.times if len(track.times) > 1 else None, **moving))
+        else:
             scene.warn(track.name, "the animation moves neither a joint nor a shape: left out")
-            continue
-        animation = Animation(name=track.name, times=track.times if len(track.times) > 1 else None)
-        for parts in moving:
-            animation = replace(animation, **parts)
-        made.append(animation)
     if (pose := _default_pose(scene, shapes)) is not None:
         made.append(pose)
     names = handles([one.name for one in made], "Animation")
@@ -133,10 +128,10 @@ def animations(
     return tuple(found)
 
 
-def _joint_motion(scene: Scene, track: Track, joints: Joints) -> list[dict[str, Any]]:
+def _joint_motion(scene: Scene, track: Track, joints: Joints) -> dict[str, Any]:
     """Tracks of the joints that do not stand at rest throughout."""
     rest = np.asarray(joints.skeleton.rest_transforms)
-    locals_ = {}
+    moving: dict[str, Trs] = {}  # matrices of all of them at once would take several times the memory
     for joint, node in enumerate(joints.nodes):
         parent = joints.parents[joint]
         local = track.worlds[node] @ joints.shrink
@@ -149,36 +144,32 @@ def _joint_motion(scene: Scene, track: Track, joints: Joints) -> list[dict[str, 
             local = np.linalg.inv(above) @ local
         size = max(float(np.abs(rest[joint]).max()), 1e-30)
         if np.abs(local - rest[joint]).max() > _STILL * size:
-            locals_[joint] = local
-    if not locals_:
-        return []
-    stacked = np.stack(list(locals_.values()), axis=1)
-    translations, rotations, scales, sheared = decompose(stacked)
+            moving[joints.skeleton.joints[joint]] = decompose(local)
+    if not moving:
+        return {}
+    translations, rotations, scales, sheared = (np.stack(part, axis=1) for part in zip(*moving.values(), strict=True))
     if sheared.any():
         scene.warn(track.name, f"scaled joints shear {int(sheared.any(axis=0).sum())} others: lost")
     # q and -q turn alike: lines between samples go the short way
-    for sample in range(1, len(rotations)):
-        opposite = (rotations[sample - 1] * rotations[sample]).sum(axis=-1, keepdims=True) < 0.0
-        rotations[sample] = np.where(opposite, -rotations[sample], rotations[sample])
-    return [
-        {
-            "joints": tuple(joints.skeleton.joints[joint] for joint in locals_),
-            "translations": translations.astype(np.float32),
-            "rotations": rotations.astype(np.float32),
-            "scales": scales.astype(np.float32),
-        }
-    ]
+    turns = np.where((rotations[:-1] * rotations[1:]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
+    rotations[1:] *= np.cumprod(turns, axis=0)
+    return {
+        "joints": tuple(moving),
+        "translations": translations.astype(np.float32),
+        "rotations": rotations.astype(np.float32),
+        "scales": scales.astype(np.float32),
+    }
 
 
-def _shape_motion(track: Track, shapes: Mapping[int, str]) -> list[dict[str, Any]]:
+def _shape_motion(track: Track, shapes: Mapping[int, str]) -> dict[str, Any]:
     """Weights of the shapes that are ever shown."""
     columns: dict[str, FloatArray] = {}
     for channel, shape in shapes.items():
         if track.weights[:, channel].any():
             columns.setdefault(shape, track.weights[:, channel])
     if not columns:
-        return []
-    return [{"shapes": tuple(columns), "shape_weights": np.stack([*columns.values()], axis=1).astype(np.float32)}]
+        return {}
+    return {"shapes": tuple(columns), "shape_weights": np.stack([*columns.values()], axis=1).astype(np.float32)}
 
 
 def _default_pose(scene: Scene, shapes: Mapping[int, str]) -> Animation | None:
@@ -198,19 +189,20 @@ def channels_apart(scene: Scene, tracks: Sequence[Track], channels: Mapping[int,
     rest = scene.tables["channels"]["weight"][None, :]
     played = np.concatenate([rest, *(track.weights for track in tracks)])
     called: dict[int, str] = {}
-    ways: dict[str, dict[str, int]] = {}  # name -> name that it is called -> the channel that plays so
+    ways: dict[str, list[int]] = {}  # name -> channels of that name, each of which plays otherwise
     taken = set(channels.values())
     apart = []
     for channel, name in channels.items():
-        known = ways.setdefault(name, {})
-        alike = (as_ for as_, other in known.items() if np.abs(played[:, other] - played[:, channel]).max() <= _ALIKE)
-        found = next(alike, None)
-        if found is None:
-            found = name if not known else next(new for i in range(2, 10**6) if (new := f"{name}_{i}") not in taken)
-            taken.add(found)
-            known[found] = channel
-            apart += [f"{name} is {found}"] if found != name else []
-        called[channel] = found
+        known = ways.setdefault(name, [])
+        scene.budget.spend(8 * len(played) * len(known), scene.error)
+        alike = np.abs(played[:, known] - played[:, [channel]]).max(axis=0) <= _ALIKE
+        if alike.any():
+            called[channel] = called[known[int(alike.argmax())]]
+            continue
+        called[channel] = numbered([name], taken)[0] if known else name
+        apart += [f"{name} is {called[channel]}"] if known else []
+        taken.add(called[channel])
+        known.append(channel)
     if apart:
         what = f"{len(apart)} shapes are played otherwise than those of their name on an earlier mesh"
         scene.warn("", f"{what}: {first_names(apart, 4)}")

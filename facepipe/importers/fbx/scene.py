@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget
 from facepipe.core.reading import read_bytes
@@ -30,7 +30,8 @@ LARGEST = 1e18  # number that is believed: products of two still fit in float32,
 _MODULE = Path(__file__).with_name("ufbx.wasm")
 _MOST_FILE_BYTES = 1 << 29
 _FREE_BYTES, _PER_BYTE = 1 << 28, 64  # of memory: arrays are deflated, and texts are twice as long as their numbers
-_FREE_STEPS, _STEPS_PER_BYTE = 1 << 31, 1 << 14  # 200 a byte are usual; a node takes 10,000 a sample of a clip
+# 200 a byte are usual; a node that moves takes 10,000 a sample, however few keys say so: 15 minutes of 100 joints
+_FREE_STEPS, _STEPS_PER_BYTE = 1 << 34, 1 << 14
 _MOST_STEPS = 1 << 38  # some 40 seconds
 _MOST_NOTES = 8  # kinds of what ufbx has mended
 _LONGEST_NAME = 4096
@@ -109,7 +110,7 @@ class Scene:
     settings: Rows
     tables: dict[str, Rows]
     budget: Budget
-    warnings: list[str] = field(default_factory=list)
+    warnings: dict[str, None] = field(default_factory=dict)  # in their order
     files: list[Path] = field(default_factory=list)
 
     @property
@@ -127,22 +128,15 @@ class Scene:
         :param name: of the node, mesh or the like; empty: the file
         """
         line = f"{self.where} -> {ascii(name)[1:-1][:80]}: {what}" if name else f"{self.where}: {what}"
-        if line not in self.warnings:
-            self.warnings.append(line)
+        self.warnings[line] = None
 
     def text(self, span: Rows) -> str:
         """The text of a span: UTF-8, which ufbx has checked, without what no file of ours may hold."""
         count = min(int(span["count"]), _LONGEST_NAME)
         return self.run.read(int(span["at"]), count).decode("utf-8", "replace") if count else ""
 
-    def data(self, span: Rows) -> bytes:
-        """The bytes of a span."""
-        count = int(span["count"])
-        self.budget.spend(count, self.error)
-        return self.run.read(int(span["at"]), count) if count else b""
-
     def array(self, span: Rows, dtype: npt.DTypeLike, width: int = 1) -> npt.NDArray[Any]:
-        """The (n,) or (n, width) values of a span, finite where they are numbers.
+        """The (n,) or (n, width) values or rows of a span, finite where they are numbers.
 
         :raises InputError: NaN, infinity or numbers beyond belief
         """
@@ -155,17 +149,29 @@ class Scene:
             raise self.error(f"holds NaN, infinity or numbers over {LARGEST:g}, expected finite ones")
         return values if width == 1 else values.reshape(count, width)
 
+    def places(self, runs: Rows, count: int, what: str) -> IntArray:
+        """The places in a list of `count` that runs of it (begin, count) cover, one after another.
+
+        :raises InputError: beyond the list
+        """
+        counts = runs["count"].astype(np.int64)
+        if int((runs["begin"] + counts).max(initial=0)) > count:
+            raise self.error(f"{what} beyond a list of {count}")
+        self.budget.spend(24 * int(counts.sum()), self.error)
+        starts = np.repeat(runs["begin"] - (np.cumsum(counts) - counts), counts)
+        return np.asarray(np.arange(len(starts)) + starts)
+
     def ids(self, span: Rows) -> list[int]:
         """Numbers of rows; `NONE` for none."""
-        return [int(one) for one in self.array(span, "<u4")]
+        return list(self.array(span, "<u4").tolist())
 
     def uv_sets(self, mesh: Rows) -> Rows:
         """The rows of a mesh's UV sets: name, values, indices."""
-        return self._rows(mesh["uvs"], _UV)
+        return self.array(mesh["uvs"], _UV)
 
     def keys(self, channel: Rows) -> Rows:
         """The rows of a channel's target shapes: shape, weight."""
-        return self._rows(channel["keys"], _KEY)
+        return self.array(channel["keys"], _KEY)
 
     def samples(self, stack: int, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """World matrices (t, nodes, 4, 4) and weights (t, channels) of an animation.
@@ -175,18 +181,16 @@ class Scene:
         nodes, channels = len(self.tables["nodes"]), len(self.tables["channels"])
         width = 12 * nodes + channels
         self.budget.spend(8 * width * len(times), self.error)
-        at = _allocated(self.run, np.ascontiguousarray(times, "<f8").tobytes())
-        found = self.run.call("sample", stack, at, len(times))
-        data = self.run.read(found, 8 * width * len(times)) if width and len(times) else b""
+        try:
+            at = _allocated(self.run, np.ascontiguousarray(times, "<f8").tobytes())
+            found = self.run.call("sample", stack, at, len(times))
+            data = self.run.read(found, 8 * width * len(times)) if width and len(times) else b""
+        except InputError as error:
+            raise _told(self.path, error) from None
         values = np.frombuffer(data, "<f8").reshape(len(times), width)
         if not (np.abs(values) <= LARGEST).all():
             raise self.error("an animation with NaN, infinity or numbers beyond belief, expected finite ones")
         return matrices(values[:, : 12 * nodes].reshape(len(times), nodes, 12)), values[:, 12 * nodes :]
-
-    def _rows(self, span: Rows, dtype: np.dtype[np.void]) -> Rows:
-        size = int(span["count"]) * dtype.itemsize
-        self.budget.spend(size, self.error)
-        return np.frombuffer(self.run.read(int(span["at"]), size) if size else b"", dtype)
 
 
 def matrices(values: npt.NDArray[Any]) -> FloatArray:
@@ -221,7 +225,7 @@ def open_scene(source: Path, *, strict: bool = False) -> Scene:
             raise InputError(_MODULE.stem, said)
         settings = np.frombuffer(run.read(at, _SCENE.itemsize), _SCENE)[0]
         scene = Scene(source, strict, run, settings, {}, budget, files=[source])
-        scene.tables = {name: scene._rows(settings[name], dtype) for name, dtype in _TABLES.items()}
+        scene.tables = {name: scene.array(settings[name], dtype) for name, dtype in _TABLES.items()}
     except InputError as error:
         raise _told(source, error) from None
     for one in scene.tables["warnings"][:_MOST_NOTES]:

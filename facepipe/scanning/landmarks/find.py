@@ -18,6 +18,8 @@ from facepipe.geometry.polygons import border_points
 from facepipe.scanning.clean_scan import CleanScan
 from facepipe.scanning.landmarks.search import (
     LEFT_EYE,
+    MARGIN,
+    MEETING,
     MOUTH,
     RIGHT_EYE,
     Draw,
@@ -33,9 +35,7 @@ from facepipe.scanning.landmarks.where import Place, Surface, looked_at, places,
 from facepipe.scans import LANDMARK_COUNT, Scan, ScanLandmarks, no_landmarks
 
 _PIXELS = 400  # a side
-_MARGIN = 1.6  # sides of a crop that a picture shows
-_MEETING = 0.012  # of a side: distance at which a ray counts half
-_JAW, _COUNT = 17, 68
+_JAW = 17
 _CELLS, _FINE_CELLS = 90, 200  # of a grid over the scan's width, and over a crop's side
 _NEAR = 1.3  # of a crop's side: what pictures of the face show
 _HOLES = 0.13  # of a crop's side: smaller ones, which would look like features, are closed
@@ -69,20 +69,20 @@ def look_closer(look: Look, frame: FaceFrame, seen: Seen, angles: Sequence[tuple
     from facepipe.networks.files import dense_landmarks, own_dense_session
     from facepipe.rig.torch import torch
 
-    views = [frame.view(yaw, pitch, _PIXELS, _MARGIN) for yaw, pitch in angles]
+    views = [frame.view(yaw, pitch, _PIXELS, MARGIN) for yaw, pitch in angles]
     origins, directions, errors = [], [], []
     for view in views:
         picture = torch.as_tensor(np.asarray(draw(look, view)[0], np.float32))
         found = dense_landmarks(own_dense_session(), picture, view.project(seen.landmarks)[0])
         if found is not None:
             origins.append(view.eye)
-            directions.append(view.directions(found[0][_JAW:_COUNT]))
-            errors.append(found[1][_JAW:_COUNT])
+            directions.append(view.directions(found[0][_JAW:LANDMARK_COUNT]))
+            errors.append(found[1][_JAW:LANDMARK_COUNT])
     if not origins:
         return seen
     # By 1 / error^2: a view that sees a landmark badly counts little.
     weights = 1.0 / np.stack(errors) ** 2
-    places, distances = meeting_points(np.stack(origins), np.stack(directions), weights, _MEETING * frame.side)
+    places, distances = meeting_points(np.stack(origins), np.stack(directions), weights, MEETING * frame.side)
     landmarks, spread = np.array(seen.landmarks), np.array(seen.spread)
     landmarks[_JAW:], spread[_JAW:] = places, np.median(distances, axis=0) / frame.side
     return replace(seen, landmarks=landmarks, spread=spread)

@@ -13,7 +13,10 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
 from facepipe.geometry.coarse_surface import Look, part_look
+from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
+from facepipe.geometry.landmarks import MIRRORED
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 
 RIGHT_EYE, LEFT_EYE, MOUTH = slice(36, 42), slice(42, 48), slice(48, 68)
@@ -35,15 +38,10 @@ _MAYBE = 0.5  # presence of such a crop
 _ROOM, _FACE_PIXELS, _MOST_PIXELS, _MOST_OTHERS = 1.0, 96, 1100, 6
 _APART = 0.25  # of a side: of two candidates nearer than this, the surer one
 _LOOKED_AT = 208  # pixels a side
-_MARGIN = 1.6  # sides of a crop that a picture shows
+MARGIN = 1.6  # sides of a crop that a picture shows
 _LOOKS = ((0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.12), (0.0, 0.9))  # turn in radians, scale: as of photos
-_MEETING = 0.012  # of a side: distance at which a ray counts half
+MEETING = 0.012  # of a side: distance at which a ray counts half
 _COARSE = 1.5  # pixels of a picture a pixel of a crop: beyond, half the picture is enough
-# The landmarks of the other side.
-_JAW, _BROWS, _NOSE = range(16, -1, -1), range(26, 16, -1), (27, 28, 29, 30, 35, 34, 33, 32, 31)
-_EYES = (45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40)
-_LIPS = (54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65)
-MIRRORED = np.array([*_JAW, *_BROWS, *_NOSE, *_EYES, *_LIPS])
 
 
 class Network(Protocol):
@@ -199,7 +197,7 @@ def faces_in(
         scale = share * count / size  # pixels of the picture a pixel of the map's
         pixels = -(-int(count / scale + 2 * _BEYOND * size) // network.cell) * network.cell
         for turn in range(turns):
-            level = _crop_matrix(np.full(2, count / 2), scale * pixels, 2 * np.pi * turn / turns, pixels)
+            level = turned_crop(_middle_crop(count, scale, pixels), 2 * np.pi * turn / turns, 1.0, pixels)
             found = network.presence_map(source.crops(level[None], pixels)[0])
             peak = (found > np.log(_PEAK / (1 - _PEAK))) & (found == maximum_filter(found, 3))
             corners = np.argwhere(peak)[:, ::-1] * network.cell
@@ -213,7 +211,7 @@ def faces_in(
     landmarks, presence = network(source.crops(matrices, size))
     sure = np.flatnonzero(presence > _MAYBE)
     sure = sure[np.argsort(-presence[sure], kind="stable")]
-    return list(zip(presence[sure].tolist(), _in_picture(landmarks[sure], matrices[sure]), strict=True))
+    return list(zip(presence[sure].tolist(), map(from_crop, landmarks[sure], matrices[sure]), strict=True))
 
 
 def _view(middle: FloatArray, radius: float, backward: FloatArray, upward: FloatArray) -> Pinhole:
@@ -254,51 +252,40 @@ def look_again(
     network: Network,
 ) -> Seen:
     """Landmarks by views at `angles`: yaw and pitch in radians."""
-    views = [frame.view(yaw, pitch, _LOOKED_AT, _MARGIN) for yaw, pitch in angles]
+    views = [frame.view(yaw, pitch, _LOOKED_AT, MARGIN) for yaw, pitch in angles]
     seen = [_one_view(look, view, draw, network) for view in views]
     presence = np.array([one[1] for one in seen])
     directions = np.stack([view.directions(one[0]) for view, one in zip(views, seen, strict=True)])
     weights = np.repeat(np.maximum(presence, 1e-3)[:, None], 68, axis=1)
     origins = np.stack([view.eye for view in views])
-    places, distances = meeting_points(origins, directions, weights, _MEETING * frame.side)
+    places, distances = meeting_points(origins, directions, weights, MEETING * frame.side)
     return Seen(landmarks=places, spread=np.median(distances, axis=0) / frame.side, presence=float(presence.mean()))
 
 
 def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network) -> tuple[FloatArray, float]:
     """Landmarks (68, 2) in pixels, and presence: of the middle first, then of crops aligned by what that showed."""
-    from facepipe.core.errors import InputError
-    from facepipe.geometry.face_crops import face_crop
-
     size, source = network.size, _Picture(draw(look, view)[0])
-    matrix = _crop_matrix(np.full(2, _LOOKED_AT / 2), _LOOKED_AT / _MARGIN, 0.0, size)
+    matrix = _middle_crop(_LOOKED_AT, _LOOKED_AT / MARGIN / size, size)
     for _ in range(2):
         landmarks, presence = network(source.crops(matrix[None], size))
+        found = from_crop(landmarks[0], matrix)
         try:
-            matrix = face_crop(_in_picture(landmarks, matrix[None])[0], size)
+            matrix = face_crop(found, size)
         except InputError:
-            return _in_picture(landmarks, matrix[None])[0], 0.0
-    matrices = np.stack([_turned(matrix, turn, scale, size) for turn, scale in _LOOKS])
+            return found, 0.0
+    matrices = np.stack([turned_crop(matrix, turn, scale, size) for turn, scale in _LOOKS])
     crops = source.crops(matrices, size)
     landmarks, presence = network(np.concatenate([crops, crops[..., ::-1]]))
     # Means with mirrored crops: what the network errs to one side cancels.
     other = landmarks[len(crops) :][:, MIRRORED]
     other[..., 0] = size - other[..., 0]
     both = (landmarks[: len(crops)] + other) / 2
-    return _in_picture(both, matrices).mean(axis=0), float(presence.mean())
+    return np.mean(list(map(from_crop, both, matrices)), axis=0), float(presence.mean())
 
 
-def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
-    """The crop turned and scaled about its centre."""
-    centre = matrix[:, :2] @ np.full(2, size / 2) + matrix[:, 2]
-    linear = scale * matrix[:, :2] @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return np.column_stack([linear, centre - linear @ np.full(2, size / 2)])
-
-
-def _crop_matrix(middle: FloatArray, side: float, turn: float, size: int) -> FloatArray:
-    """(2, 3) from crop pixels to picture pixels: a square about `middle` (2,), turned by radians."""
-    scale = side / size
-    linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return np.column_stack([linear, np.asarray(middle) - linear @ np.full(2, size / 2)])
+def _middle_crop(count: int, scale: float, size: int) -> FloatArray:
+    """(2, 3) from crop pixels to pixels of a picture of `count` a side: about its middle, `scale` of those a pixel."""
+    return np.column_stack([scale * np.eye(2), np.full(2, (count - scale * size) / 2)])
 
 
 class _Picture:
@@ -334,9 +321,3 @@ class _Picture:
             found = torch.nn.functional.grid_sample(level, grid, "bilinear", "border", align_corners=False)
             crops[chosen] = found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy()
         return crops
-
-
-def _in_picture(landmarks: FloatArray, matrices: FloatArray) -> FloatArray:
-    """(k, 68, 2) landmarks of crops in pixels of the picture."""
-    turned = np.einsum("kij,klj->kli", matrices[:, :, :2], landmarks)
-    return np.asarray(turned + matrices[:, None, :, 2])

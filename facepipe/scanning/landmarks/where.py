@@ -115,10 +115,8 @@ def _thin(scan: Scan) -> tuple[Scan, IntArray]:
     """The scan with one point for each cell of a grid, and the first (n,) of those that each stands for."""
     cell = float(np.ptp(scan.points, axis=0).max()) / _THIN_CELLS
     group = grid_groups(scan.points, cell)
-    count = int(group.max()) + 1
-    first = np.zeros(count, np.int64)
-    first[group[::-1]] = np.arange(len(group))[::-1]
-    share = 1.0 / np.bincount(group)[:, None]
+    first = np.unique(group, return_index=True)[1]
+    count, share = len(first), 1.0 / np.bincount(group)[:, None]
     triangles = group[scan.triangles]
     a, b, c = triangles.T
     thin = Scan(
