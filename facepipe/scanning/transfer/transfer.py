@@ -277,7 +277,7 @@ def whole_shapes(
     marks = np.where(head.landmarks.known[:, None], marks, fit.points[body.rows[body.landmarks]])
     own_marks = body.points[body.rows[body.landmarks]]
     motion = motion_of(body.points, body.topology.triangles, own_marks, own, with_inside_fitted(fit.points))
-    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside)
+    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside, skin)
 
     def there(delta: FloatArray) -> FloatArray:
         whole = np.zeros_like(points)

@@ -101,6 +101,36 @@ def test_layers_of_an_eye_go_together_and_a_glass_before_it_does_not() -> None:
     assert _kinds(pieces, np.arange(own[-1] + 1, len(points))) == {"still"}
 
 
+@pytest.mark.parametrize("into", [0.0, -3.0])
+def test_skin_that_is_there_again_is_a_layer_whatever_its_mesh(into: float) -> None:
+    head = plain_heads.head(names=("eyeLeft", "glasses"))
+    other, faces = plain_heads.skin(spacing=6.0)
+    points = np.concatenate([head.points, other + np.array([0.0, 0.0, into])])
+    pieces = pieces_of(points, np.concatenate([head.triangles, faces + len(head.points)]), head.landmarks)
+    assert _kinds(pieces, np.arange(len(head.points), len(points))) == {"layer"}
+    assert _kinds(pieces, head.of("skin")) == {"skin"}
+    assert _kinds(pieces, head.of("glasses")) == {"still"}
+    assert "other layers of the skin, which go along with it: 1" in pieces.notes
+
+
+def test_named_pieces_of_a_second_head_are_none_of_this_one() -> None:
+    head = plain_heads.head(names=("upper", "lower", "browLeft"))
+    count, own = len(head.points), np.where(head.part == 0, -1, head.part - 1)
+    hints = Hints(names=("teeth", "gums", "brow"), name=np.concatenate([own, own]))
+    points = np.concatenate([head.points, head.points + np.array([400.0, 0.0, 0.0])])
+    pieces = pieces_of(points, np.concatenate([head.triangles, head.triangles + count]), head.landmarks, hints)
+    assert _kinds(pieces, head.of("upper")) == {"upper teeth"}
+    assert _kinds(pieces, np.arange(count, 2 * count)) == {"still"}
+
+
+def test_a_mesh_of_all_that_is_named_after_its_hair_is_skin_too() -> None:
+    head = plain_heads.head(names=("hat",))
+    hints = Hints(names=("Anna_hair_body",), name=np.zeros(len(head.points), np.int64))
+    pieces = pieces_of(head.points, head.triangles, head.landmarks, hints, skin=head.of("skin"))
+    assert _kinds(pieces, head.of("skin")) == {"skin"}
+    assert _kinds(pieces, head.of("hat")) == {"still"}
+
+
 def test_points_of_no_triangle_are_still() -> None:
     head = plain_heads.head(names=("eyeLeft", "eyeRight"))
     points = np.concatenate([head.points, [[0.0, -30.0, -20.0], [32.0, 35.0, -12.0]]])
