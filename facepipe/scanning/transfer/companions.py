@@ -211,6 +211,9 @@ class Companions:
         if not len(rows) or not len(self._skin):
             return []
         facing, normals = triangle_normals(self.points, self._skin), point_normals(self.points, triangles)[rows]
+        nearest = SurfaceSearch(self.points, self._skin).closest(self.points[rows]).triangles
+        if (facing[nearest] * normals).sum() < 0:  # the inner side of a shell
+            normals = -normals
         places = facing_places(self.points, self._skin, facing, self.points[rows], normals)
         found, shares = np.isfinite(places.distances), place_shares(places, self.points, self._skin)
         facing_it = Binding(rows=rows[found], corners=self._skin[places.triangles[found]], shares=shares[found])

@@ -18,7 +18,7 @@ from facepipe.core.errors import FitError
 from facepipe.geometry.balls import Ball, RadialSurface, fit_ball
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import components, distinct_edges, point_areas
+from facepipe.geometry.polygons import components, distinct_edges, point_areas, triangle_normals
 from facepipe.scanning.transfer.lids import EYES, Globe, eye_frame
 
 KINDS = (
@@ -57,6 +57,8 @@ _TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth
 _BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
 _LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
 _NEAR_MM = 40.0  # from a point of the skin
+_AGAINST, _SHELL = 0.5, 0.25  # cosine of what faces against a template; share of a skin from which on it is a shell
+_ROUNDS = 30  # of neighbours' votes on which side of a shell they are
 _SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
 
 
@@ -149,7 +151,7 @@ def pieces_of(
     :param landmarks: (68, 3) mm
     :param hints: what the file says
     :param inside: of the fitted template; None: bites are looked for about the mouth's middle
-    :param skin: points of the piece that is skin; None: that which landmarks are nearest to
+    :param skin: points of the piece that is skin, as `outer_skin` has it; None: that which landmarks are nearest to
     """
     hints = hints or Hints()
     pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
@@ -171,6 +173,7 @@ def pieces_of(
         skin = np.flatnonzero(piece == np.bincount(piece[free[place.triangles, 0]]).argmax())
     unnamed = skin[kind[skin] < 0]
     sorting.set(unnamed if len(unnamed) else skin, SKIN)  # one mesh of all may be named after its hair
+    sorting.set((kind < 0) & np.isin(piece, piece[skin]), LAYER)
     sorting.skin = triangles[(kind[triangles] == 0).all(axis=1)]
     globes = {side: globe for side in EYES if (globe := _eyeball(sorting, side)) is not None}
     notes = _mouth(sorting, said, hints.jaw, inside)
@@ -464,6 +467,38 @@ def _is_layer(sorting: _Sorting, own: IntArray, away: FloatArray) -> bool:
     mine = sorting.triangles[is_own[sorting.triangles[:, 0]]]
     distances = closest_places(marks[SKIN_MARKS], sorting.points, mine).distances
     return bool((distances < _GROWTH_MM * sorting.scale).mean() > LAYERED)
+
+
+def outer_skin(
+    points: FloatArray, triangles: IntArray, skin: IntArray, fitted: FloatArray, faces: IntArray
+) -> IntArray:
+    """Points of a skin (m,) without those of its inner side, where it is a shell that is joined at its borders.
+
+    There about half of it faces against the template that was fitted to it; of plain skins next to nothing does.
+
+    :param points: (n, 3) mm
+    :param triangles: (t, 3), outward
+    :param fitted: (r, 3) mm, the template on the head
+    :param faces: (f, 3) its triangles
+    """
+    is_skin = np.zeros(len(points), bool)
+    is_skin[skin] = True
+    mine = triangles[is_skin[triangles].all(axis=1)]
+    nearest = closest_places(points[mine].mean(axis=1), fitted, faces)
+    near = nearest.distances < _GROWTH_MM
+    facing = (triangle_normals(points, mine) * triangle_normals(fitted, faces)[nearest.triangles]).sum(axis=1)
+    against = near & (facing < -_AGAINST)
+    if against.sum() < _SHELL * near.sum():
+        return skin
+    votes = np.zeros(len(points))
+    np.add.at(votes, mine[near & (facing > _AGAINST)], 1.0)
+    np.add.at(votes, mine[against], -1.0)
+    # sheets of lips lie so near to one another that some take the wrong one: what is around them decides
+    first, second = np.concatenate([mine[:, :2], mine[:, 1:], mine[:, [2, 0]]]).T
+    for _ in range(_ROUNDS):
+        around = np.bincount(first, votes[second], len(points)) + np.bincount(second, votes[first], len(points))
+        votes = around / max(float(np.abs(around).max()), 1.0)
+    return skin[votes[skin] >= 0]
 
 
 def _border(triangles: IntArray, count: int) -> BoolArray:
