@@ -112,7 +112,8 @@ def surface_of(parts: FaceParts, where: str, layers: Sequence[int] = ()) -> Surf
         # millimetres of the world: all lengths of skinning are, whatever unit and transform a mesh has
         points.append(transformed(mesh.points, matrix) * millimetres)
         counts, indices = mesh.face_vertex_counts, mesh.face_vertex_indices
-        triangles.append(point_triangles(counts, indices) + start)
+        corners = point_triangles(counts, indices) + start
+        triangles.append(corners if np.linalg.det(matrix[:3, :3]) >= 0 else corners[:, ::-1])  # a mirror turns them
         polygons = cells(counts, indices)
         faces.append(np.where(polygons >= 0, polygons + start, -1))
         ends, uses = edges(counts, indices)

@@ -134,6 +134,16 @@ def test_inward_triangles_are_turned_and_said(small: FaceParts, tmp_path: Path) 
     assert np.allclose(*normals, atol=1e-6)
 
 
+def test_triangles_of_a_mirrored_node_face_outward(small: FaceParts, tmp_path: Path) -> None:
+    mirror, meshes = np.diag([-1.0, 1.0, 1.0, 1.0]), []
+    for mesh in bare(small).meshes:
+        corners = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)[:, ::-1].ravel()
+        faces = {"face_vertex_counts": np.full(len(corners) // 3, 3), "face_vertex_indices": corners, "normals": None}
+        meshes.append(replace(mesh, points=mesh.points * mirror.diagonal()[:3], transform=mirror, skin=None, **faces))
+    marks = put_marks(tmp_path / "marks.json", marks_of(small))
+    assert not Head.of(replace(bare(small), meshes=tuple(meshes)), "head", marks).notes
+
+
 def test_a_mouth_that_is_open_is_not_cut(small: FaceParts) -> None:
     with pytest.raises(FitError, match="the lips are open already, expected a mouth that triangles seal"):
         with_cut_mouth(Head.of(small, "head", None))
