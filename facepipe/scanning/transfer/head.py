@@ -95,6 +95,7 @@ class Head:
     parts: FaceParts
     points: FloatArray  # (n, 3) whole points, millimetres and Y up if the file's unit and axis are true
     surface: Surface  # points that a file splits at seams are one; triangles face outward, each once
+    turned: int = 0  # triangles that face inward in the file
     landmarks: ScanLandmarks
     source: str  # of the landmarks
     notes: tuple[str, ...]
@@ -127,13 +128,12 @@ class Head:
             raise InputError(f"{where} -> landmarks", what)
         surface = surface_of(parts, where, _layers(parts, points, landmarks))
         triangles, turned = outward_triangles(surface.points, surface.triangles)
-        if turned:
-            notes = (*notes, f"{turned} triangles face inward: they are taken as turned, and stay as they are")
         head = cls(
             where=where,
             parts=parts,
             points=points,
             surface=replace(surface, triangles=triangles),
+            turned=turned,
             landmarks=landmarks,
             source=source,
             notes=notes,

@@ -177,8 +177,14 @@ def _report(
         missed=missed,
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*missed, *head.notes, *_of_fit(fit), *made.notes),
+        warnings=(*missed, *head.notes, *_of_mesh(head), *_of_fit(fit), *made.notes),
     )
+
+
+def _of_mesh(head: Head) -> list[str]:
+    """What is to be said of the head's triangles."""
+    inward = f"{head.turned} triangles face inward: they are taken as turned, and stay as they are"
+    return [inward] if head.turned else []
 
 
 def _of_fit(fit: HeadFit) -> list[str]:

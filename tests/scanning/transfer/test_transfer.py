@@ -117,7 +117,7 @@ def test_levels_of_detail_are_not_sewn_to_the_skin(small: FaceParts, tmp_path: P
     assert {both.parts.meshes[number].name for number in both.surface.mesh[both.skin()]} == {skin.name}
 
 
-def test_inward_triangles_are_turned_and_said(small: FaceParts, tmp_path: Path) -> None:
+def test_inward_triangles_are_turned_and_counted(small: FaceParts, tmp_path: Path) -> None:
     head = bare(small)
     skin = head.meshes[0]
     triangles = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
@@ -127,9 +127,8 @@ def test_inward_triangles_are_turned_and_said(small: FaceParts, tmp_path: Path) 
     marks = put_marks(tmp_path / "marks.json", marks_of(small))
     usual = Head.of(head, "head", marks)
     inside_out = Head.of(replace(head, meshes=(turned, *head.meshes[1:])), "head", marks)
-    assert not usual.notes
-    (note,) = inside_out.notes
-    assert note == f"{len(triangles)} triangles face inward: they are taken as turned, and stay as they are"
+    assert usual.turned == 0
+    assert inside_out.turned == len(triangles)
     normals = [triangle_normals(one.sewn, one.surface.triangles).sum(axis=0) for one in (usual, inside_out)]
     assert np.allclose(*normals, atol=1e-6)
 
@@ -141,7 +140,7 @@ def test_triangles_of_a_mirrored_node_face_outward(small: FaceParts, tmp_path: P
         faces = {"face_vertex_counts": np.full(len(corners) // 3, 3), "face_vertex_indices": corners, "normals": None}
         meshes.append(replace(mesh, points=mesh.points * mirror.diagonal()[:3], transform=mirror, skin=None, **faces))
     marks = put_marks(tmp_path / "marks.json", marks_of(small))
-    assert not Head.of(replace(bare(small), meshes=tuple(meshes)), "head", marks).notes
+    assert Head.of(replace(bare(small), meshes=tuple(meshes)), "head", marks).turned == 0
 
 
 def test_a_mouth_that_is_open_is_not_cut(small: FaceParts) -> None:
