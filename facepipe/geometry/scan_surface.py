@@ -195,20 +195,49 @@ def _inward(points: FloatArray, sheets: Sheets) -> BoolArray:
     triangles = np.where(sheets.turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
     placed = points[sheets.source]
     component = sheets.component
-    # a sheet's bulge to its outside is 0.28 for a sphere, 0 for a plane, negative where turned in:
-    # ``sum_t A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of triangles: the
-    # mean distance of tangent planes from the centre, over the root of the area; ``1 / sqrt(4 pi)`` for a sphere
-    a, b, c = placed[triangles].transpose(1, 0, 2)
-    area_normals = np.cross(b - a, c - a) / 2
-    areas = np.linalg.norm(area_normals, axis=1)
-    middles = (a + b + c) / 3
-    total = np.bincount(component, areas)
-    centre = np.stack([np.bincount(component, areas * column) for column in middles.T], axis=1) / total[:, None]
-    heights = np.einsum("tc,tc->t", area_normals, middles - centre[component])
-    bulge = np.asarray(np.bincount(component, heights) / total**1.5)
+    bulge = _bulge(placed, triangles, component)
     mostly_turned = np.bincount(sheets.component, np.where(sheets.turned, 1.0, -1.0)) > 0
     inward = np.where(np.abs(bulge) >= _LEAST_BULGE, bulge < 0, mostly_turned)
     return np.asarray(inward[sheets.component])
+
+
+def _bulge(points: FloatArray, triangles: IntArray, component: IntArray) -> FloatArray:
+    """(c,) how far pieces bulge to their outside: 0.28 for a sphere, 0 for a plane, negative where turned in.
+
+    ``sum_t A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of triangles: the
+    mean distance of tangent planes from the centre, over the root of the area; ``1 / sqrt(4 pi)`` for a sphere.
+
+    :param component: (t,) piece of each triangle
+    """
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    area_normals = np.cross(b - a, c - a) / 2
+    areas = np.linalg.norm(area_normals, axis=1)
+    middles = (a + b + c) / 3
+    total = np.maximum(np.bincount(component, areas), np.finfo(np.float64).tiny)
+    centre = np.stack([np.bincount(component, areas * column) for column in middles.T], axis=1) / total[:, None]
+    heights = np.einsum("tc,tc->t", area_normals, middles - centre[component])
+    return np.asarray(np.bincount(component, heights) / total**1.5)
+
+
+def outward_triangles(points: FloatArray, triangles: IntArray) -> tuple[IntArray, int]:
+    """(u, 3) different triangles of a surface, corners of each sheet in the order of most of it, and of each connected
+    piece so that it bulges outward; and how many were turned for it.
+
+    For what needs normals of a surface whose points must stay: exporters leave files with any part of their triangles
+    turned, and with triangles twice, once for each side, whose normals add up to nothing.
+
+    :param points: (n, 3)
+    :param triangles: (t, 3) each of three different points
+    """
+    corners = np.asarray(triangles, np.int64)
+    corners = corners[distinct_rows(np.sort(corners, axis=1))[0]]
+    sheets = cut_sheets(corners)
+    votes = np.bincount(sheets.component, np.where(sheets.turned, -1.0, 1.0) * _areas(points, corners))
+    turned = sheets.turned ^ (votes < 0)[sheets.component]
+    alike = np.where(turned[:, None], corners[:, ::-1], corners)
+    piece = components(len(points), np.concatenate([corners[:, :2], corners[:, 1:]]))[corners[:, 0]]
+    turned ^= (_bulge(points, alike, piece) < -_LEAST_BULGE)[piece]
+    return np.where(turned[:, None], corners[:, ::-1], corners), int(turned.sum())
 
 
 def _by_area(points: FloatArray, triangles: IntArray, component: IntArray) -> IntArray:

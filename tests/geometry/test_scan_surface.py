@@ -13,7 +13,7 @@ from solids import ball
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals
-from facepipe.geometry.scan_surface import CleanSurface, clean_surface, cloud_normals
+from facepipe.geometry.scan_surface import CleanSurface, clean_surface, cloud_normals, outward_triangles
 
 Array = np.ndarray[Any, Any]
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -243,3 +243,26 @@ def test_signs_run_around_folds() -> None:
     truth = point_normals(points, triangles)
     assert (np.einsum("ni,ni->n", truth, points - points.mean(axis=0)) < 0).mean() > 0.05
     assert (np.einsum("ni,ni->n", cloud_normals(points).normals, truth) > 0).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.7, 1.0])
+def test_triangles_face_outward_however_a_file_has_turned_them(share: float) -> None:
+    points, triangles = ball(2)
+    rng = np.random.default_rng(3)
+    wrong = rng.permutation(len(triangles)) < share * len(triangles)
+    mixed = np.where(wrong[:, None], triangles[:, ::-1], triangles)
+    found, turned = outward_triangles(points, mixed)
+    a, b, c = points[found].transpose(1, 0, 2)
+    assert (np.einsum("tc,tc->t", np.cross(b - a, c - a), a + b + c) > 0).all()
+    assert np.array_equal(np.sort(found, axis=1), np.sort(mixed, axis=1))
+    assert turned == wrong.sum()
+
+
+def test_of_triangles_that_are_there_for_both_sides_one_stays() -> None:
+    points, triangles = ball(2)
+    flat = np.append(triangles[0, :2], len(points))
+    more = np.concatenate([points, points[flat[:1]]])
+    both = np.concatenate([triangles, triangles[::3, ::-1], triangles[::5], flat[None]])
+    found, turned = outward_triangles(more, both)
+    assert np.array_equal(found[:-1], triangles)
+    assert turned == 0

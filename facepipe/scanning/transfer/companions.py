@@ -11,7 +11,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.geodesics import nearest_sources, surface_graph
-from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.polygons import point_normals, triangle_normals
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.scanning.transfer.lids import EYES, Aperture, Globe
 from facepipe.scanning.transfer.lips import lips_of
@@ -21,6 +21,7 @@ from facepipe.scanning.transfer.pieces import (
     EYE_RIGHT,
     GROWTH,
     LASHES,
+    LAYER,
     MOUTH,
     SKIN,
     TEARS,
@@ -32,6 +33,7 @@ from facepipe.scanning.transfer.pieces import (
     by_number,
     pieces_of,
 )
+from facepipe.scanning.transfer.places import facing_places
 from facepipe.verbs.skin.surface import smoothstep
 
 _MOVES_MM = 0.05  # teeth that move less stand still
@@ -152,7 +154,7 @@ class Companions:
         skin[pieces.of(SKIN)] = True
         self._skin = triangles[skin[triangles].all(axis=1)]
         self._normals = point_normals(points, self._skin)
-        self._bindings = [self._bound(pieces.of(BROWS, GROWTH), self._skin)]
+        self._bindings = [self._bound(pieces.of(BROWS, GROWTH), self._skin), *self._layers(triangles)]
         self._bindings += self._lashes(triangles, apertures)
         self._tears = self._between_lids(apertures)
         self._jaw_share = self._shares()
@@ -201,6 +203,21 @@ class Companions:
         places = SurfaceSearch(self.points, triangles).closest(self.points[rows])
         shares = place_shares(places, self.points, triangles)
         return Binding(rows=rows, corners=triangles[places.triangles], shares=shares, about=about)
+
+    def _layers(self, triangles: IntArray) -> list[Binding]:
+        """Other layers of the skin by the nearest skin that faces as they do, if any does: the nearest of all may be
+        the other lip of a closed mouth."""
+        rows = self.pieces.of(LAYER)
+        if not len(rows) or not len(self._skin):
+            return []
+        facing, normals = triangle_normals(self.points, self._skin), point_normals(self.points, triangles)[rows]
+        nearest = SurfaceSearch(self.points, self._skin).closest(self.points[rows]).triangles
+        if (facing[nearest] * normals).sum() < 0:  # the inner side of a shell
+            normals = -normals
+        places = facing_places(self.points, self._skin, facing, self.points[rows], normals)
+        found, shares = np.isfinite(places.distances), place_shares(places, self.points, self._skin)
+        facing_it = Binding(rows=rows[found], corners=self._skin[places.triangles[found]], shares=shares[found])
+        return [facing_it, self._bound(rows[~found], self._skin)]
 
     def _lid(self, eye: Aperture, side: int) -> IntArray:
         """Triangles of the skin at the margin of the upper (1) or lower (-1) lid."""

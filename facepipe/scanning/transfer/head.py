@@ -12,6 +12,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.scan_surface import outward_triangles
 from facepipe.geometry.vectors import transformed
 from facepipe.importers.scan_file import USD, scan_of
 from facepipe.importers.scan_hints import hints_of
@@ -19,7 +20,7 @@ from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.rig.joint_names import human_joint
 from facepipe.rig.plausibility import in_usual_unit
 from facepipe.scanning.rebuild.declared import UNITS
-from facepipe.scanning.transfer.pieces import Hints
+from facepipe.scanning.transfer.pieces import LAYERED, SKIN_MARKS, Hints
 from facepipe.scans import LANDMARK_SCHEME, Scan, ScanLandmarks
 from facepipe.verbs.skin.surface import Surface, surface_of
 from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points, world_to_world
@@ -27,6 +28,8 @@ from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
 _FEWEST = 6  # landmarks
 _MOST = 300_000  # points of skin: 225,000 take 43 s and 1.6 GB
+_LEVEL = 0.005  # of the size of the landmarks: how far apart levels of detail are
+_REACH = 0.05  # of the size of the landmarks: a mesh so far from one has it
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
 
@@ -91,7 +94,8 @@ class Head:
     where: str
     parts: FaceParts
     points: FloatArray  # (n, 3) whole points, millimetres and Y up if the file's unit and axis are true
-    surface: Surface  # points that a file splits at seams are one
+    surface: Surface  # points that a file splits at seams are one; triangles face outward, each once
+    turned: int = 0  # triangles that face inward in the file
     landmarks: ScanLandmarks
     source: str  # of the landmarks
     notes: tuple[str, ...]
@@ -122,11 +126,14 @@ class Head:
         if landmarks.known.sum() < _FEWEST:
             what = f"{int(landmarks.known.sum())} of 68 are known, expected {_FEWEST} or more"
             raise InputError(f"{where} -> landmarks", what)
+        surface = surface_of(parts, where, _layers(parts, points, landmarks))
+        triangles, turned = outward_triangles(surface.points, surface.triangles)
         head = cls(
             where=where,
             parts=parts,
             points=points,
-            surface=surface_of(parts, where),
+            surface=replace(surface, triangles=triangles),
+            turned=turned,
             landmarks=landmarks,
             source=source,
             notes=notes,
@@ -163,10 +170,17 @@ class Head:
         :raises InputError: more than can be fitted and carried to within a minute
         """
         known = self.landmarks.points[self.landmarks.known]
-        nearest = closest_places(known, self.sewn, self.surface.triangles)
         of_triangle = self.surface.component[self.surface.triangles[:, 0]]
-        votes = np.bincount(of_triangle[nearest.triangles])
-        found = np.flatnonzero(self.surface.component == votes.argmax())
+        nearest = closest_places(known, self.sewn, self.surface.triangles)
+        chosen = int(np.bincount(of_triangle[nearest.triangles]).argmax())
+        # of levels of detail, on which landmarks lie by chance, the finest
+        sizes = np.bincount(of_triangle)
+        near = nearest.distances + _LEVEL * float(np.linalg.norm(np.ptp(known, axis=0)))
+        for other in np.flatnonzero(sizes > sizes[chosen]):
+            level = closest_places(known, self.sewn, self.surface.triangles[of_triangle == other])
+            if (level.distances < near).mean() > LAYERED and sizes[other] > sizes[chosen]:
+                chosen = int(other)
+        found = np.flatnonzero(self.surface.component == chosen)
         if len(found) > _MOST:
             what = f"its skin has {len(found):,} points, expected at most {_MOST:,}: lower its resolution first"
             raise InputError(self.where, what)
@@ -222,6 +236,24 @@ def _scan(parts: FaceParts, where: str) -> Scan:
     meshes = tuple(replace(mesh, transform=to) for mesh, to in pairs)
     hints = hints_of(replace(parts, meshes=meshes, meters_per_unit=0.001, up_axis="Y"))
     return replace(scan_of(meshes, {one.name: one for one in parts.materials}, where), hints=hints)
+
+
+def _layers(parts: FaceParts, points: FloatArray, landmarks: ScanLandmarks) -> list[int]:
+    """A number for each mesh: others for those after the first that have the whole face again, such as coarser levels
+    of detail, whose borders must not be sewn to the first's.
+
+    :param points: (n, 3) whole points
+    """
+    known = landmarks.points[landmarks.known]
+    marks = landmarks.points[SKIN_MARKS][landmarks.known[SKIN_MARKS]]
+    reach, layers, start = _REACH * float(np.linalg.norm(np.ptp(known, axis=0))), [], 0
+    for mesh in parts.meshes:
+        own = points[start : start + len(mesh.points)]
+        triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+        start += len(mesh.points)
+        near = closest_places(marks, own, triangles).distances < reach if len(triangles) and len(marks) else np.zeros(1)
+        layers.append(bool(near.mean() > LAYERED))
+    return [0 if not layer else sum(layers[:number]) for number, layer in enumerate(layers)]
 
 
 def _own_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:

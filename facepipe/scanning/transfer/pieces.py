@@ -18,14 +18,15 @@ from facepipe.core.errors import FitError
 from facepipe.geometry.balls import Ball, RadialSurface, fit_ball
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import components, distinct_edges, point_areas
+from facepipe.geometry.polygons import components, distinct_edges, point_areas, triangle_normals
 from facepipe.scanning.transfer.lids import EYES, Globe, eye_frame
 
 KINDS = (
     "skin", "left eyeball", "right eyeball", "upper teeth", "lower teeth", "tongue", "inner mouth", "lashes", "brows",
-    "tear line", "growth", "still", "helper",
+    "tear line", "growth", "layer", "still", "helper",
 )  # fmt: skip
-SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, STILL, HELPER = KINDS
+(SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, LAYER, STILL,
+ HELPER) = KINDS  # fmt: skip
 _BALLS = {"Left": EYE_LEFT, "Right": EYE_RIGHT}
 _WORDS = {  # parts of names, in the order in which they count: an eyelash is no eye, and helpers may be teeth
     LASHES: ("lash", "wimper", "まつげ", "睫"),
@@ -38,7 +39,8 @@ _WORDS = {  # parts of names, in the order in which they count: an eyelash is no
     GROWTH: ("beard", "moustache", "mustache", "stubble", "sideburn"),
 }
 _ROWS = {TEETH_UPPER: ("upper", "top", "^up$", "maxill"), TEETH_LOWER: ("lower", "bottom", "^low$", "mandib")}
-_SKIN_MARKS = [*range(17), *range(27, 36), *range(48, 60)]  # jaw, nose and mouth
+SKIN_MARKS = [*range(17), *range(27, 36), *range(48, 60)]  # jaw, nose and mouth
+LAYERED = 0.7  # share of these landmarks that another layer of the skin has, too
 _ACROSS = 90.0  # mm between outer corners of eyes, of the face that lengths below are of
 _ROUND, _BALL_RADII = 0.12, (0.25, 0.85)  # rms of the radius; radius of the eye's width
 _AROUND, _BEFORE = 1.3, 0.25  # of an eye's width: what may be part of an eye, and how far it lies before the lids
@@ -47,6 +49,7 @@ _LONG = 1.6  # times as wide as high: no cornea, but a shell between the lids
 _MOUTH_BOX = np.array([[-46.0, -40.0, -90.0], [46.0, 30.0, 4.0]])  # mm from the mouth's middle
 _TOOTH, _GAP, _BITE = 17.0, 2.5, 18.0  # mm: largest single tooth; between rows; how far the bite is from the template's
 _FEW_TEETH = 4
+_THIS_MM = 250.0  # from the mouth's middle: what is farther off belongs to no part of this face, whatever its name
 _LEANS = np.linspace(-0.6, 0.6, 25)  # slopes of the head's bite against the template's
 _NEAR_BITE = 3.0  # mm: of rows in one piece, whose points leave gaps at crowns and roots too
 _SURE = 4.0  # mm from the bite, from which on points of such a piece surely are of their row
@@ -54,6 +57,8 @@ _TALL, _BAG, _SLACK = 24.0, 60.0, 4.0  # mm: gums of both rows in one; the mouth
 _BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
 _LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
 _NEAR_MM = 40.0  # from a point of the skin
+_AGAINST, _SHELL = 0.5, 0.25  # cosine of what faces against a template; share of a skin from which on it is a shell
+_ROUNDS = 30  # of neighbours' votes on which side of a shell they are
 _SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
 
 
@@ -137,6 +142,7 @@ def pieces_of(
     landmarks: FloatArray,
     hints: Hints | None = None,
     inside: Inside | None = None,
+    skin: IntArray | None = None,
 ) -> Pieces:
     """What the pieces of a head are.
 
@@ -145,6 +151,7 @@ def pieces_of(
     :param landmarks: (68, 3) mm
     :param hints: what the file says
     :param inside: of the fitted template; None: bites are looked for about the mouth's middle
+    :param skin: points of the piece that is skin, as `outer_skin` has it; None: that which landmarks are nearest to
     """
     hints = hints or Hints()
     pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
@@ -156,16 +163,25 @@ def pieces_of(
     kind[triangles.ravel()] = -1  # no surface, no piece
     sorting = _Sorting(points, triangles, landmarks, piece, local, scale, kind)
     said = _said(hints, len(points), piece)
+    # of a second head, teeth are no teeth of this one
+    said[(np.linalg.norm(local, axis=1) > _THIS_MM) & ~np.isin(said, [KINDS.index(STILL), KINDS.index(HELPER)])] = -1
     for name in (HELPER, LASHES, BROWS, TEARS, GROWTH, STILL):
         sorting.set(said == KINDS.index(name), name)
-    place = closest_places(landmarks[_SKIN_MARKS], points, triangles[kind[triangles[:, 0]] < 0])
-    main = np.bincount(piece[triangles[kind[triangles[:, 0]] < 0][place.triangles, 0]]).argmax()
-    sorting.set((piece == main) & (kind < 0), SKIN)
+    free = triangles[kind[triangles[:, 0]] < 0]
+    if skin is None:
+        place = closest_places(landmarks[SKIN_MARKS], points, free)
+        skin = np.flatnonzero(piece == np.bincount(piece[free[place.triangles, 0]]).argmax())
+    unnamed = skin[kind[skin] < 0]
+    sorting.set(unnamed if len(unnamed) else skin, SKIN)  # one mesh of all may be named after its hair
+    sorting.set((kind < 0) & np.isin(piece, piece[skin]), LAYER)
     sorting.skin = triangles[(kind[triangles] == 0).all(axis=1)]
     globes = {side: globe for side in EYES if (globe := _eyeball(sorting, side)) is not None}
     notes = _mouth(sorting, said, hints.jaw, inside)
     _around(sorting)
     sorting.set(kind < 0, STILL)
+    layers = len(np.unique(piece[kind == KINDS.index(LAYER)]))
+    if layers:
+        notes = (*notes, f"other layers of the skin, which go along with it: {layers}")
     return Pieces(kind=kind, piece=piece, globes=globes, notes=notes)
 
 
@@ -393,7 +409,8 @@ def _largest_gap(heights: FloatArray, within: float = _BITE) -> tuple[float, flo
 
 
 def _around(sorting: _Sorting) -> None:
-    """Marks what goes with the skin: lashes, brows, shells at the lids, beards, and skin that is a piece of its own."""
+    """Marks what goes with the skin: lashes, brows, shells at the lids, beards, other layers of the skin, and skin that
+    is a piece of its own."""
     from scipy.spatial import cKDTree
 
     marks, scale = sorting.landmarks, sorting.scale
@@ -430,8 +447,58 @@ def _around(sorting: _Sorting) -> None:
             and wide < 2.2 * eyes_apart
         ):
             sorting.set(own, BROWS)
+        elif _is_layer(sorting, own, away):
+            sorting.set(own, LAYER)
         elif sewn or (np.percentile(away[own], 90) < _GROWTH_MM and sorting.local[own, 1].mean() < 15.0):
             sorting.set(own, GROWTH)
+
+
+def _is_layer(sorting: _Sorting, own: IntArray, away: FloatArray) -> bool:
+    """Whether a piece is skin once more, on the skin all over the face: its inner side, or a coarser level of detail.
+
+    :param away: (n,) mm from the skin
+    """
+    marks = sorting.landmarks
+    face = own[np.linalg.norm(sorting.points[own] - marks.mean(axis=0), axis=1) < _ACROSS * sorting.scale]
+    if not len(face) or np.percentile(away[face], 90) >= _GROWTH_MM:
+        return False
+    is_own = np.zeros(len(sorting.points), bool)
+    is_own[own] = True
+    mine = sorting.triangles[is_own[sorting.triangles[:, 0]]]
+    distances = closest_places(marks[SKIN_MARKS], sorting.points, mine).distances
+    return bool((distances < _GROWTH_MM * sorting.scale).mean() > LAYERED)
+
+
+def outer_skin(
+    points: FloatArray, triangles: IntArray, skin: IntArray, fitted: FloatArray, faces: IntArray
+) -> IntArray:
+    """Points of a skin (m,) without those of its inner side, where it is a shell that is joined at its borders.
+
+    There about half of it faces against the template that was fitted to it; of plain skins next to nothing does.
+
+    :param points: (n, 3) mm
+    :param triangles: (t, 3), outward
+    :param fitted: (r, 3) mm, the template on the head
+    :param faces: (f, 3) its triangles
+    """
+    is_skin = np.zeros(len(points), bool)
+    is_skin[skin] = True
+    mine = triangles[is_skin[triangles].all(axis=1)]
+    nearest = closest_places(points[mine].mean(axis=1), fitted, faces)
+    near = nearest.distances < _GROWTH_MM
+    facing = (triangle_normals(points, mine) * triangle_normals(fitted, faces)[nearest.triangles]).sum(axis=1)
+    against = near & (facing < -_AGAINST)
+    if against.sum() < _SHELL * near.sum():
+        return skin
+    votes = np.zeros(len(points))
+    np.add.at(votes, mine[near & (facing > _AGAINST)], 1.0)
+    np.add.at(votes, mine[against], -1.0)
+    # sheets of lips lie so near to one another that some take the wrong one: what is around them decides
+    first, second = np.concatenate([mine[:, :2], mine[:, 1:], mine[:, [2, 0]]]).T
+    for _ in range(_ROUNDS):
+        around = np.bincount(first, votes[second], len(points)) + np.bincount(second, votes[first], len(points))
+        votes = around / max(float(np.abs(around).max()), 1.0)
+    return skin[votes[skin] >= 0]
 
 
 def _border(triangles: IntArray, count: int) -> BoolArray:

@@ -58,16 +58,20 @@ def places_on(rows: FloatArray, triangles: IntArray, head: HeadMesh, labels: Int
         allowed = np.flatnonzero((of_corners != -side).all(axis=1)) if side else np.arange(len(triangles))
         if not (len(allowed) and len(numbers)):
             continue
-        nearest = _facing(rows, triangles[allowed], facing[allowed], points[numbers], normals[numbers])
+        nearest = facing_places(rows, triangles[allowed], facing[allowed], points[numbers], normals[numbers])
         corners[numbers] = triangles[allowed[nearest.triangles]]
         shares[numbers], distances[numbers] = place_shares(nearest, rows, triangles[allowed]), nearest.distances
     return Places(corners=corners, shares=shares, distances=distances)
 
 
-def _facing(
+def facing_places(
     rows: FloatArray, triangles: IntArray, facing: FloatArray, points: FloatArray, normals: FloatArray
 ) -> ClosestPlaces:
-    """The nearest places that face as the points do."""
+    """The nearest places that face as the points (p, 3) with normals (p, 3) do; where none of the nearest
+    `_CANDIDATES` triangles does, their distance is infinite.
+
+    :param facing: (t, 3) normals of `triangles`
+    """
     from scipy.spatial import cKDTree
 
     nearest = closest_places(points, rows, triangles)

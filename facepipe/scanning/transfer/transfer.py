@@ -27,7 +27,7 @@ from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, fini
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.marks import carried_masks, own_points
-from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, pieces_of
+from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, outer_skin, pieces_of
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
@@ -177,8 +177,14 @@ def _report(
         missed=missed,
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*missed, *head.notes, *_of_fit(fit), *made.notes),
+        warnings=(*missed, *head.notes, *_of_mesh(head), *_of_fit(fit), *made.notes),
     )
+
+
+def _of_mesh(head: Head) -> list[str]:
+    """What is to be said of the head's triangles."""
+    inward = f"{head.turned} triangles face inward: they are taken as turned, and stay as they are"
+    return [inward] if head.turned else []
 
 
 def _of_fit(fit: HeadFit) -> list[str]:
@@ -277,7 +283,8 @@ def whole_shapes(
     marks = np.where(head.landmarks.known[:, None], marks, fit.points[body.rows[body.landmarks]])
     own_marks = body.points[body.rows[body.landmarks]]
     motion = motion_of(body.points, body.topology.triangles, own_marks, own, with_inside_fitted(fit.points))
-    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside)
+    outer = outer_skin(points, head.surface.triangles, skin, fit.points[body.rows], body.triangles)
+    pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside, outer)
 
     def there(delta: FloatArray) -> FloatArray:
         whole = np.zeros_like(points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -94,22 +95,25 @@ class Surface:
         return np.asarray(found[(found >= 0).all(axis=1)])
 
 
-def surface_of(parts: FaceParts, where: str) -> Surface:
+def surface_of(parts: FaceParts, where: str, layers: Sequence[int] = ()) -> Surface:
     """The surface of a face, as it was bound.
 
+    :param layers: a number for each mesh: only those of one are sewn together; none: all are
     :raises InputError: no triangle, or none with an area on its main part
     """
     to_world = np.asarray(parts.skeleton.transform, np.float64)
     millimetres = parts.meters_per_unit * 1000.0
     points: list[Any] = []
     triangles, faces, pairs, border, mesh_number = ([*points] for _ in range(5))
+    layers = layers or [0] * len(parts.meshes)
     start = 0
     for number, (mesh, space) in enumerate(zip(parts.meshes, mesh_spaces(parts), strict=True)):
         matrix = to_world @ space
         # millimetres of the world: all lengths of skinning are, whatever unit and transform a mesh has
         points.append(transformed(mesh.points, matrix) * millimetres)
         counts, indices = mesh.face_vertex_counts, mesh.face_vertex_indices
-        triangles.append(point_triangles(counts, indices) + start)
+        corners = point_triangles(counts, indices) + start
+        triangles.append(corners if np.linalg.det(matrix[:3, :3]) >= 0 else corners[:, ::-1])  # a mirror turns them
         polygons = cells(counts, indices)
         faces.append(np.where(polygons >= 0, polygons + start, -1))
         ends, uses = edges(counts, indices)
@@ -122,12 +126,13 @@ def surface_of(parts: FaceParts, where: str) -> Surface:
     if not sum(map(len, triangles)):
         raise InputError(where, "no triangles, expected a surface to put weights on")
     whole = [np.concatenate(arrays) for arrays in (points, triangles, faces, pairs, border, mesh_number)]
-    return _sewn(parts, where, *whole)
+    return _sewn(parts, where, np.asarray(layers)[whole[5]], *whole)
 
 
 def _sewn(
     parts: FaceParts,
     where: str,
+    layer: IntArray,
     points: FloatArray,
     triangles: IntArray,
     faces: IntArray,
@@ -136,7 +141,8 @@ def _sewn(
     mesh: IntArray,
 ) -> Surface:
     # border points alone: closed lips touch inside a surface, and sewn they would share all weights
-    group = welded_points(points, border, _SAME * float(np.ptp(points[triangles.ravel()], axis=0).max()))
+    size = float(np.ptp(points[triangles.ravel()], axis=0).max())
+    group = welded_points(points + 2.0 * size * layer[:, None], border, _SAME * size)  # layers far from one another
     first = np.unique(group, return_index=True)[1]
     triangles, (pairs, *_) = group[triangles], distinct_edges(group[pairs])
     faces = np.where(faces >= 0, group[faces], -1)

@@ -91,6 +91,19 @@ def test_brows_follow_the_skin_under_them() -> None:
     assert not made.deltas["browInnerUp"][head.of("hat")].any()
 
 
+def test_a_layer_goes_with_the_skin_that_faces_as_it_does() -> None:
+    head, _, motion = _whole()
+    other, faces = plain_heads.skin(spacing=6.0)
+    points = np.concatenate([head.points, other - [0.0, 0.0, 2.0]])
+    triangles = np.concatenate([head.triangles, faces + len(head.points)])
+    pieces = pieces_of(points, triangles, head.landmarks)
+    turn = Rotation.from_rotvec([0.1, 0.0, 0.05])
+    skin = turn.apply(points) + np.array([0.0, 2.0, 1.0]) - points
+    made = finished(points, triangles, head.landmarks, pieces, motion, {"mouthLeft": skin})
+    own = np.arange(len(head.points), len(points))
+    assert np.allclose(made.deltas["mouthLeft"][own], skin[own], atol=0.25)
+
+
 def test_lashes_keep_to_their_lid_in_a_blink() -> None:
     head, made = _made("eyeBlinkLeft", np.zeros_like(plain_heads.head().points))
     delta, own = made.deltas["eyeBlinkLeft"], head.of("lashesLeft")

@@ -7,7 +7,8 @@ import plain_heads
 import pytest
 import trimesh
 
-from facepipe.scanning.transfer.pieces import KINDS, Hints, Pieces, named_kind, pieces_of
+from facepipe.geometry.polygons import edges, point_normals
+from facepipe.scanning.transfer.pieces import KINDS, Hints, Pieces, named_kind, outer_skin, pieces_of
 
 _KINDS = {
     "skin": "skin",
@@ -99,6 +100,59 @@ def test_layers_of_an_eye_go_together_and_a_glass_before_it_does_not() -> None:
     own = np.arange(count, count + len(cap.vertices))
     assert _kinds(pieces, own) == {"left eyeball"}
     assert _kinds(pieces, np.arange(own[-1] + 1, len(points))) == {"still"}
+
+
+@pytest.mark.parametrize("into", [0.0, -3.0])
+def test_skin_that_is_there_again_is_a_layer_whatever_its_mesh(into: float) -> None:
+    head = plain_heads.head(names=("eyeLeft", "glasses"))
+    other, faces = plain_heads.skin(spacing=6.0)
+    points = np.concatenate([head.points, other + np.array([0.0, 0.0, into])])
+    pieces = pieces_of(points, np.concatenate([head.triangles, faces + len(head.points)]), head.landmarks)
+    assert _kinds(pieces, np.arange(len(head.points), len(points))) == {"layer"}
+    assert _kinds(pieces, head.of("skin")) == {"skin"}
+    assert _kinds(pieces, head.of("glasses")) == {"still"}
+    assert "other layers of the skin, which go along with it: 1" in pieces.notes
+
+
+def test_of_a_shell_that_is_joined_at_its_borders_the_outer_side_is_skin() -> None:
+    front, faces = plain_heads.skin(spacing=5.0)
+    count, inner = len(front), faces[:, ::-1] + len(front)
+    pairs, uses = edges(np.full(len(faces), 3), faces.ravel())
+    a, b = pairs[uses == 1].T
+    rim = np.concatenate([np.stack([a, b, b + count], axis=1), np.stack([a, b + count, a + count], axis=1)])
+    points = np.concatenate([front, front - point_normals(front, faces) * 3.0])
+    triangles = np.concatenate([faces, inner, rim])
+    every = np.arange(len(points))
+    outer = outer_skin(points, triangles, every, front, faces)
+    assert np.count_nonzero((every < count) != np.isin(every, outer)) < 0.1 * count  # along the rim
+    pieces = pieces_of(points, triangles, plain_heads.landmarks(), skin=outer)
+    assert _kinds(pieces, outer) == {"skin"}
+    assert _kinds(pieces, np.setdiff1d(every, outer)) == {"layer"}
+
+
+def test_a_plain_skin_has_no_inner_side() -> None:
+    front, faces = plain_heads.skin()
+    every = np.arange(len(front))
+    off = front + np.array([0.0, 0.0, 4.0])
+    assert np.array_equal(outer_skin(front, faces, every, off, faces), every)
+
+
+def test_named_pieces_of_a_second_head_are_none_of_this_one() -> None:
+    head = plain_heads.head(names=("upper", "lower", "browLeft"))
+    count, own = len(head.points), np.where(head.part == 0, -1, head.part - 1)
+    hints = Hints(names=("teeth", "gums", "brow"), name=np.concatenate([own, own]))
+    points = np.concatenate([head.points, head.points + np.array([400.0, 0.0, 0.0])])
+    pieces = pieces_of(points, np.concatenate([head.triangles, head.triangles + count]), head.landmarks, hints)
+    assert _kinds(pieces, head.of("upper")) == {"upper teeth"}
+    assert _kinds(pieces, np.arange(count, 2 * count)) == {"still"}
+
+
+def test_a_mesh_of_all_that_is_named_after_its_hair_is_skin_too() -> None:
+    head = plain_heads.head(names=("hat",))
+    hints = Hints(names=("Anna_hair_body",), name=np.zeros(len(head.points), np.int64))
+    pieces = pieces_of(head.points, head.triangles, head.landmarks, hints, skin=head.of("skin"))
+    assert _kinds(pieces, head.of("skin")) == {"skin"}
+    assert _kinds(pieces, head.of("hat")) == {"still"}
 
 
 def test_points_of_no_triangle_are_still() -> None:

@@ -16,6 +16,7 @@ from pxr import Gf, Usd, UsdGeom
 
 import facepipe
 from facepipe.core.errors import FitError, InputError
+from facepipe.geometry.polygons import point_triangles, triangle_normals
 from facepipe.heads import make
 from facepipe.importers import load, read_face
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
@@ -96,6 +97,50 @@ def test_landmarks_may_be_off_and_in_part_unknown(small: FaceParts, tmp_path: Pa
     head = Head.of(bare(small), "head", put_marks(tmp_path / "marks.json", marks_of(small) + off, known=30))
     assert head.landmarks.known.sum() == 30
     assert head.source == "marks.json"
+
+
+@pytest.mark.parametrize("coarser", [False, True])
+def test_levels_of_detail_are_not_sewn_to_the_skin(small: FaceParts, tmp_path: Path, *, coarser: bool) -> None:
+    """One that has the same border: all of the finest is skin, wherever it is in the file, and nothing else."""
+    head = bare(small)
+    skin = head.meshes[0]
+    triangles = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
+    again = replace(skin, name="Head_LOD1")
+    if coarser:
+        kept = triangles[np.arange(len(triangles)) % 9 > 0]
+        again = replace(again, face_vertex_counts=np.full(len(kept), 3), face_vertex_indices=kept.ravel())
+    marks = put_marks(tmp_path / "marks.json", marks_of(small))
+    alone = Head.of(head, "head", marks)
+    meshes = (again, *head.meshes) if coarser else (*head.meshes, again)
+    both = Head.of(replace(head, meshes=meshes), "head", marks)
+    assert len(both.skin()) == len(alone.skin())
+    assert {both.parts.meshes[number].name for number in both.surface.mesh[both.skin()]} == {skin.name}
+
+
+def test_inward_triangles_are_turned_and_counted(small: FaceParts, tmp_path: Path) -> None:
+    head = bare(small)
+    skin = head.meshes[0]
+    triangles = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
+    turned = replace(
+        skin, face_vertex_counts=np.full(len(triangles), 3), face_vertex_indices=triangles[:, ::-1].ravel()
+    )
+    marks = put_marks(tmp_path / "marks.json", marks_of(small))
+    usual = Head.of(head, "head", marks)
+    inside_out = Head.of(replace(head, meshes=(turned, *head.meshes[1:])), "head", marks)
+    assert usual.turned == 0
+    assert inside_out.turned == len(triangles)
+    normals = [triangle_normals(one.sewn, one.surface.triangles).sum(axis=0) for one in (usual, inside_out)]
+    assert np.allclose(*normals, atol=1e-6)
+
+
+def test_triangles_of_a_mirrored_node_face_outward(small: FaceParts, tmp_path: Path) -> None:
+    mirror, meshes = np.diag([-1.0, 1.0, 1.0, 1.0]), []
+    for mesh in bare(small).meshes:
+        corners = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)[:, ::-1].ravel()
+        faces = {"face_vertex_counts": np.full(len(corners) // 3, 3), "face_vertex_indices": corners, "normals": None}
+        meshes.append(replace(mesh, points=mesh.points * mirror.diagonal()[:3], transform=mirror, skin=None, **faces))
+    marks = put_marks(tmp_path / "marks.json", marks_of(small))
+    assert Head.of(replace(bare(small), meshes=tuple(meshes)), "head", marks).turned == 0
 
 
 def test_a_mouth_that_is_open_is_not_cut(small: FaceParts) -> None:
