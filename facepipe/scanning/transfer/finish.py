@@ -109,7 +109,7 @@ def finished(
             whole = companions.delta(name, moved.delta)
             deltas[name] = whole
             # mouthClose is for a jaw that is open: alone it presses a closed mouth together
-            ended = points + whole + (deltas.get("jawOpen", 0.0) if name == "mouthClose" else 0.0)
+            ended = points + whole + (jaw if name == "mouthClose" and jaw is not None else 0.0)
             made = replace(made, flips=int(flipped_triangles(points, ended, seen).sum()))
             if moved.ways:
                 inbetweens[name] = {way: companions.delta(name, own, way) for way, own in moved.ways.items()}

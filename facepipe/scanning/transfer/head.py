@@ -205,8 +205,10 @@ class Head:
 
     def hints(self) -> Hints:
         """What names of meshes and a jaw's joint say of the sewn points."""
-        names = tuple(exact(mesh) for mesh in self.parts.meshes)
-        return Hints(names=names, name=self.surface.mesh, jaw=self.carried_by("Jaw"))
+        names, mesh = tuple(exact(mesh) for mesh in self.parts.meshes), self.surface.mesh
+        # what the mesh with the skin is called says nothing of its pieces: "Brown Man", "head_hair"
+        of_skin = np.isin(mesh, mesh[self.skin()])
+        return Hints(names=names, name=np.where(of_skin, -1, mesh), jaw=self.carried_by("Jaw"))
 
     def scan_of_skin(self) -> Scan:
         """The piece that carries the face as a scan, with its colours."""

@@ -29,11 +29,11 @@ KINDS = (
  HELPER) = KINDS  # fmt: skip
 _BALLS = {"Left": EYE_LEFT, "Right": EYE_RIGHT}
 _WORDS = {  # parts of names, in the order in which they count: an eyelash is no eye, and helpers may be teeth
-    LASHES: ("lash", "wimper", "まつげ", "睫"),
-    BROWS: ("brow", "braue", "まゆ", "眉"),
+    LASHES: ("eyelash", "lashes", "^lash$", "wimper", "まつげ", "睫"),
+    BROWS: ("eyebrow", "brows", "^brow$", "braue", "まゆ", "眉"),
     TEARS: ("tear", "lacrimal", "occlusion", "eyewet", "eyeao", "eyeblend", "wetness"),
     TONGUE: ("tongue", "zunge", "舌"),
-    TEETH_UPPER: ("teeth", "tooth", "dent", "gums", "^gum$", "gingiva", "歯"),  # of either row
+    TEETH_UPPER: ("teeth", "tooth", "^dent$", "^dents$", "dentur", "gums", "^gum$", "gingiva", "歯"),  # of either row
     HELPER: ("helper",),
     STILL: ("glass", "spectacle", "goggle", "helmet", "^hat$", "^cap$", "hair", "髪", "cloth", "shirt", "earring"),
     GROWTH: ("beard", "moustache", "mustache", "stubble", "sideburn"),
@@ -304,12 +304,14 @@ def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: In
         else:
             teeth.append(rows)
     boxes = np.array([[pick(local[rows], axis=0) for pick in (np.min, np.max)] for rows in teeth])
-    for i, rows in enumerate(teeth):  # what holds others is gums, or the sheet of the mouth
-        holds = (boxes[:, 0] > boxes[i, 0] - _SLACK).all(axis=1) & (boxes[:, 1] < boxes[i, 1] + _SLACK).all(axis=1)
-        tall = boxes[i, 1, 1] - boxes[i, 0, 1] > _TALL
-        if said[rows[0]] < 0 and ((tall and holds.sum() > 2) or boxes[i, 1, 1] - boxes[i, 0, 1] > _BAG):
-            sheets.append(rows)
-    teeth = [rows for rows in teeth if not any(rows is sheet for sheet in sheets)]
+    rest = []
+    for rows, (low, high) in zip(teeth, boxes, strict=True):  # what holds others is gums, or the sheet of the mouth
+        tall, sheet = high[1] - low[1], False
+        if said[rows[0]] < 0 and tall > _TALL:
+            holds = ((boxes[:, 0] > low - _SLACK) & (boxes[:, 1] < high + _SLACK)).all(axis=1)
+            sheet = tall > _BAG or holds.sum() > 2
+        (sheets if sheet else rest).append(rows)
+    teeth = rest
     for rows in tongues:
         sorting.set(rows, TONGUE)
     for rows in sheets:

@@ -361,12 +361,13 @@ def _settled(
         for number, mesh in enumerate(meshes)
     ]
     if "landmarks" in wanted and (anew or not any(mesh.landmarks for mesh in meshes)):
-        meshes[chosen] = _marked(meshes[chosen], body, fit.points, places[rows], rows - start)
-    new = (_by_shapes(one) for one in body.sliders) if "sliders" in wanted else ()
+        marked = meshes[chosen] if not anew else replace(meshes[chosen], anchor=None)
+        meshes[chosen] = _marked(marked, body, fit.points, places[rows], rows - start)
     known = {name for mesh in meshes for name in (shape.name for shape in mesh.blendshapes)}
-    taken = {one.name for one in changed.sliders}
-    sliders = [one for one in new if one.shapes and known.issuperset(dict(one.shapes)) and one.name not in taken]
-    return replace(changed, meshes=tuple(meshes), sliders=(*changed.sliders, *sliders), photos=head.parts.photos)
+    own = {one.name: one for one in changed.sliders}
+    made = [_by_shapes(one) for one in body.sliders if "sliders" in wanted and (anew or one.name not in own)]
+    new = {one.name: one for one in made if one.shapes and known.issuperset(dict(one.shapes))}
+    return replace(changed, meshes=tuple(meshes), sliders=tuple({**own, **new}.values()), photos=head.parts.photos)
 
 
 def _between(shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Mapping[float, FloatArray]]) -> Blendshape:
@@ -387,7 +388,7 @@ def _between(shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Map
 
 
 def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray, own: IntArray) -> Mesh:
-    """The mesh with the template's landmarks and anchor.
+    """The mesh with the template's landmarks, and its anchor where the mesh has none.
 
     :param points: (n, 3) whole points of the template, lying on the head
     :param places: (k, 3) of the mesh's points `own` (k,), in the same space
@@ -398,7 +399,7 @@ def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray,
             chosen = own[own_points(points[start + marks.indices], places)]
             if scheme == LANDMARK_SCHEME:
                 landmarks[scheme] = Landmarks(indices=chosen.astype(np.int32), names=marks.names)
-        if part.anchor is not None:
+        if part.anchor is not None and mesh.anchor is None:
             nearest = np.linalg.norm(places - points[start + part.anchor], axis=1).argmin()
             anchor = int(own[nearest])
         start += len(part.points)

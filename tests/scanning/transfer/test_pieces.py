@@ -183,6 +183,10 @@ def test_points_of_no_triangle_are_still() -> None:
         ("tongue_geo", "tongue"),
         ("Gums and tongue", None),
         ("eyebrows", "brows"),
+        ("Brow_L", "brows"),
+        ("Brown_Head", None),
+        ("Student", None),
+        ("camera_flash", None),
         ("Beard", "growth"),
     ],
 )

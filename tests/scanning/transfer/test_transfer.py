@@ -117,6 +117,16 @@ def test_levels_of_detail_are_not_sewn_to_the_skin(small: FaceParts, tmp_path: P
     assert {both.parts.meshes[number].name for number in both.surface.mesh[both.skin()]} == {skin.name}
 
 
+def test_the_name_of_the_mesh_with_the_skin_says_nothing_of_its_pieces(small: FaceParts, tmp_path: Path) -> None:
+    skin, *others = bare(small).meshes
+    head = replace(bare(small), meshes=(replace(skin, name="Brown_teeth"), *others))
+    found = Head.of(head, "head", put_marks(tmp_path / "marks.json", marks_of(small)))
+    names = found.hints().name
+    assert names is not None
+    assert set(names[found.surface.mesh == 0]) == {-1}
+    assert np.array_equal(names[found.surface.mesh > 0], found.surface.mesh[found.surface.mesh > 0])
+
+
 def test_inward_triangles_are_turned_and_counted(small: FaceParts, tmp_path: Path) -> None:
     head = bare(small)
     skin = head.meshes[0]
