@@ -213,8 +213,8 @@ def test_rebuild_benchmark_fits_nearer_than_its_peers(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_files_of_others_are_read_as_what_they_mean(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
-    printed = run("--seed", "1", "--inputs", "62", "--json", out, benchmark="files_of_others.py")
+    printed = run("--seed", "1", "--inputs", "64", "--json", out, benchmark="files_of_others.py")
     verdicts = json.loads(out.read_text(encoding="utf-8"))
     assert {verdict["outcome"] for verdict in verdicts} == {"right", "named"}
-    assert len({verdict["kind"] for verdict in verdicts}) == 31
+    assert len({verdict["kind"] for verdict in verdicts}) == 32
     assert "seed 1: " in printed

@@ -162,7 +162,8 @@ def _one_face() -> None:
     assert frame is not None
     report = find.ScanLandmarksReport(found=68, presence=1.0, spread=0.0, searched=1)
     look = surface_look(scan.points, scan.triangles, scan.colors)
-    found = find.FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
+    all_of_it = np.ones(len(scan.points), bool)
+    found = find.FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, carrier=all_of_it, report=report)
     find.FindScanLandmarks.__call__ = lambda self, scan: found
 
 
