@@ -288,7 +288,7 @@ def _covers(local: FloatArray, triangles: IntArray) -> bool:
 def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: Inside | None) -> tuple[str, ...]:
     """Marks teeth, tongue and what else is in the mouth; what is to be said of it."""
     local = sorting.local
-    teeth, tongues, sheets = [], [], []
+    teeth, tongues = [], []
     inner = ((local > _MOUTH_BOX[0]) & (local < _MOUTH_BOX[1])).all(axis=1)
     inner |= np.isin(said, [KINDS.index(kind) for kind in (TONGUE, TEETH_UPPER, TEETH_LOWER)])
     for rows in sorting.free(inner):
@@ -304,7 +304,8 @@ def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: In
         else:
             teeth.append(rows)
     boxes = np.array([[pick(local[rows], axis=0) for pick in (np.min, np.max)] for rows in teeth])
-    rest = []
+    sheets: list[IntArray] = []
+    rest: list[IntArray] = []
     for rows, (low, high) in zip(teeth, boxes, strict=True):  # what holds others is gums, or the sheet of the mouth
         tall, sheet = high[1] - low[1], False
         if said[rows[0]] < 0 and tall > _TALL:

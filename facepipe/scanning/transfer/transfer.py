@@ -364,10 +364,10 @@ def _settled(
         marked = meshes[chosen] if not anew else replace(meshes[chosen], anchor=None)
         meshes[chosen] = _marked(marked, body, fit.points, places[rows], rows - start)
     known = {name for mesh in meshes for name in (shape.name for shape in mesh.blendshapes)}
-    own = {one.name: one for one in changed.sliders}
-    made = [_by_shapes(one) for one in body.sliders if "sliders" in wanted and (anew or one.name not in own)]
-    new = {one.name: one for one in made if one.shapes and known.issuperset(dict(one.shapes))}
-    return replace(changed, meshes=tuple(meshes), sliders=tuple({**own, **new}.values()), photos=head.parts.photos)
+    sliders = {one.name: one for one in changed.sliders}
+    made = [_by_shapes(one) for one in body.sliders if "sliders" in wanted and (anew or one.name not in sliders)]
+    sliders |= {one.name: one for one in made if one.shapes and known.issuperset(dict(one.shapes))}
+    return replace(changed, meshes=tuple(meshes), sliders=tuple(sliders.values()), photos=head.parts.photos)
 
 
 def _between(shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Mapping[float, FloatArray]]) -> Blendshape:
