@@ -219,9 +219,9 @@ def _bulge(points: FloatArray, triangles: IntArray, component: IntArray) -> Floa
     return np.asarray(np.bincount(component, heights) / total**1.5)
 
 
-def outward_triangles(points: FloatArray, triangles: IntArray) -> tuple[IntArray, int]:
+def outward_triangles(points: FloatArray, triangles: IntArray) -> tuple[IntArray, BoolArray]:
     """(u, 3) different triangles of a surface, corners of each sheet in the order of most of it, and of each connected
-    piece so that it bulges outward; and how many were turned for it.
+    piece so that it bulges outward; and (u,) which were turned for it.
 
     For what needs normals of a surface whose points must stay: exporters leave files with any part of their triangles
     turned, and with triangles twice, once for each side, whose normals add up to nothing.
@@ -237,7 +237,7 @@ def outward_triangles(points: FloatArray, triangles: IntArray) -> tuple[IntArray
     alike = np.where(turned[:, None], corners[:, ::-1], corners)
     piece = components(len(points), np.concatenate([corners[:, :2], corners[:, 1:]]))[corners[:, 0]]
     turned ^= (_bulge(points, alike, piece) < -_LEAST_BULGE)[piece]
-    return np.where(turned[:, None], corners[:, ::-1], corners), int(turned.sum())
+    return np.where(turned[:, None], corners[:, ::-1], corners), turned
 
 
 def _by_area(points: FloatArray, triangles: IntArray, component: IntArray) -> IntArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
@@ -95,7 +95,7 @@ class Head:
     parts: FaceParts
     points: FloatArray  # (n, 3) whole points, millimetres and Y up if the file's unit and axis are true
     surface: Surface  # points that a file splits at seams are one; triangles face outward, each once
-    turned: int = 0  # triangles that face inward in the file
+    turned: BoolArray  # (t,) of these the ones that face inward in the file
     landmarks: ScanLandmarks
     source: str  # of the landmarks
     notes: tuple[str, ...]

@@ -146,7 +146,7 @@ def transfer(
     if joints:
         fitted = AuthorNeutral().changed(body.parts, fit.place.undo(fit.points))
         SkinFace(source=Face.from_parts(fitted))(Face(face.stage, face.prim), recipe=recipe)
-    report = _report(parts, Face(face.stage, face.prim).parts(), head, body, fit, made)
+    report = _report(parts, Face(face.stage, face.prim).parts(), head, skin, body, fit, made)
     return replace(
         report,
         kept=kept,
@@ -158,7 +158,7 @@ def transfer(
 
 
 def _report(
-    before: FaceParts, after: FaceParts, head: Head, body: Template, fit: HeadFit, made: Finished
+    before: FaceParts, after: FaceParts, head: Head, skin: IntArray, body: Template, fit: HeadFit, made: Finished
 ) -> TransferReport:
     """What is known of a transfer by the head before and after it."""
     quality = fit.report.quality
@@ -177,14 +177,14 @@ def _report(
         missed=missed,
         place=fit.place,
         framing=fit.points[body.rows[body.landmarks]],
-        warnings=(*missed, *head.notes, *_of_mesh(head), *_of_fit(fit), *made.notes),
+        warnings=(*missed, *head.notes, *skin_lines(head, skin), *_of_fit(fit), *made.notes),
     )
 
 
-def _of_mesh(head: Head) -> list[str]:
-    """What is to be said of the head's triangles."""
-    inward = f"{head.turned} triangles face inward: they are taken as turned, and stay as they are"
-    return [inward] if head.turned else []
+def skin_lines(head: Head, skin: IntArray) -> list[str]:
+    """What is to be said of the skin's triangles; the mouth's own sheet faces inward by right."""
+    turned = int(head.turned[np.isin(head.surface.triangles[:, 0], skin)].sum())
+    return [f"{turned} triangles face inward: they are taken as turned, and stay as they are"] if turned else []
 
 
 def _of_fit(fit: HeadFit) -> list[str]:

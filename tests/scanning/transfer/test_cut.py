@@ -63,6 +63,7 @@ def _head(parts: FaceParts, *, reach: float = 30.0) -> Head:
         parts=parts,
         points=whole_points(parts),
         surface=surface,
+        turned=np.zeros(len(surface.triangles), bool),
         landmarks=landmarks,
         source="",
         notes=(),

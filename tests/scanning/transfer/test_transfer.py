@@ -23,7 +23,7 @@ from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.scanning.transfer.cut import with_cut_mouth
 from facepipe.scanning.transfer.head import Head, made_head
-from facepipe.scanning.transfer.transfer import wanted_shapes
+from facepipe.scanning.transfer.transfer import skin_lines, wanted_shapes
 from facepipe.stage import save_parts
 from facepipe.verbs.whole_faces import whole_face
 
@@ -127,7 +127,7 @@ def test_the_name_of_the_mesh_with_the_skin_says_nothing_of_its_pieces(small: Fa
     assert np.array_equal(names[found.surface.mesh > 0], found.surface.mesh[found.surface.mesh > 0])
 
 
-def test_inward_triangles_are_turned_and_counted(small: FaceParts, tmp_path: Path) -> None:
+def test_inward_triangles_are_turned_and_said(small: FaceParts, tmp_path: Path) -> None:
     head = bare(small)
     skin = head.meshes[0]
     triangles = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
@@ -137,8 +137,9 @@ def test_inward_triangles_are_turned_and_counted(small: FaceParts, tmp_path: Pat
     marks = put_marks(tmp_path / "marks.json", marks_of(small))
     usual = Head.of(head, "head", marks)
     inside_out = Head.of(replace(head, meshes=(turned, *head.meshes[1:])), "head", marks)
-    assert usual.turned == 0
-    assert inside_out.turned == len(triangles)
+    assert skin_lines(usual, usual.skin()) == []
+    what = f"{len(triangles)} triangles face inward: they are taken as turned, and stay as they are"
+    assert skin_lines(inside_out, inside_out.skin()) == [what]
     normals = [triangle_normals(one.sewn, one.surface.triangles).sum(axis=0) for one in (usual, inside_out)]
     assert np.allclose(*normals, atol=1e-6)
 
@@ -150,7 +151,7 @@ def test_triangles_of_a_mirrored_node_face_outward(small: FaceParts, tmp_path: P
         faces = {"face_vertex_counts": np.full(len(corners) // 3, 3), "face_vertex_indices": corners, "normals": None}
         meshes.append(replace(mesh, points=mesh.points * mirror.diagonal()[:3], transform=mirror, skin=None, **faces))
     marks = put_marks(tmp_path / "marks.json", marks_of(small))
-    assert Head.of(replace(bare(small), meshes=tuple(meshes)), "head", marks).turned == 0
+    assert not Head.of(replace(bare(small), meshes=tuple(meshes)), "head", marks).turned.any()
 
 
 def test_a_mouth_that_is_open_is_not_cut(small: FaceParts) -> None:
