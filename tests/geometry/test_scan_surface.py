@@ -12,7 +12,7 @@ from scan_files import volume
 from solids import ball
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.polygons import border_points, point_normals
 from facepipe.geometry.scan_surface import CleanSurface, clean_surface, cloud_normals, outward_triangles
 
 Array = np.ndarray[Any, Any]
@@ -266,3 +266,12 @@ def test_of_triangles_that_are_there_for_both_sides_one_stays() -> None:
     found, turned = outward_triangles(more, both)
     assert np.array_equal(found[:-1], triangles)
     assert not turned.any()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9])
+def test_border_points_are_on_edges_that_no_other_triangle_runs_back_along(share: float) -> None:
+    points, triangles = ball(8)
+    kept = triangles[np.random.default_rng(5).random(len(triangles)) >= share]
+    runs = {(int(row[i]), int(row[(i + 1) % 3])) for row in kept for i in range(3)}
+    expected = {end for start, end in runs if (end, start) not in runs}
+    assert set(border_points(points, kept).tolist()) == expected
