@@ -47,7 +47,6 @@ class HeadFit:
     place: Similarity  # from the head's coordinates to there
     head: HeadMesh  # there
     report: FitNeutralReport
-    open_slits: tuple[str, ...] = ()  # of mouth, eye_right and eye_left: those with something between their rims
 
 
 def fit_head(
@@ -80,7 +79,7 @@ def fit_head(
     triangles = np.asarray(triangles, np.int64)
     head, rows = HeadMesh.of(place.apply(scan.points), triangles), neutral.points[template.rows]
     labels, sides = sides_on(template, rows, head, nearest_places(rows, template.triangles, head), REACH_MM)
-    rims, open_slits = rim_anchors(template, rows, head, labels, sides)
+    rims = rim_anchors(template, rows, head, labels, sides)
 
     own, (target, mended) = landmark_anchors(template, landmarks), scan_target(scan)
     anchors = own.with_more(replace(rims, targets=place.undo(rims.targets)))
@@ -101,4 +100,4 @@ def fit_head(
     lines = (*scan.warnings, *mended)
     neutral, report = found_neutral(template, database.identity, name, found, anchors.names, lines, {})
     head = HeadMesh.of(found.place.apply(scan.points), triangles)
-    return HeadFit(points=neutral.points, place=found.place, head=head, report=report, open_slits=open_slits)
+    return HeadFit(points=neutral.points, place=found.place, head=head, report=report)

@@ -235,11 +235,6 @@ class _Directions:
         return numbers == sizes.argmax() if sizes.max(initial=0) else None
 
 
-def _directions(columns: FloatArray, turns: FloatArray, axes: FloatArray) -> FloatArray:
-    across = np.cos(columns)
-    return np.asarray(np.stack([np.sin(columns), across * np.sin(turns), across * np.cos(turns)], axis=1) @ axes)
-
-
 def _lids(
     found: _Directions,
     points: FloatArray,
@@ -481,7 +476,7 @@ def _unfolded(
 _PLACES = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0  # of a triangle
 
 
-def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture, slack: float = 0.0) -> FloatArray:
+def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture) -> FloatArray:
     """`ended` with points lifted until the triangles `seen` lie no deeper in the eyeball than they did in `points`.
 
     Others are left alone: the fold of the socket and the lids' inner sides belong inside.
@@ -511,10 +506,9 @@ def _heights(points: FloatArray, triangles: IntArray, eye: Aperture) -> FloatArr
     return eye.globe.heights(places.reshape(-1, 3)).reshape(len(triangles), -1)
 
 
-def _outward(points: FloatArray, triangles: IntArray, eye: Aperture | Globe) -> BoolArray:
+def _outward(points: FloatArray, triangles: IntArray, eye: Aperture) -> BoolArray:
     """(t,) which triangles face away from the eyeball's middle."""
-    globe = eye.globe if isinstance(eye, Aperture) else eye
-    towards = points[triangles].mean(axis=1) - globe.centre
+    towards = points[triangles].mean(axis=1) - eye.globe.centre
     return np.asarray((triangle_normals(points, triangles) * towards).sum(axis=1) > 0)
 
 

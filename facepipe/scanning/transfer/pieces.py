@@ -162,7 +162,7 @@ def pieces_of(
     kind = np.full(len(points), KINDS.index(STILL))
     kind[triangles.ravel()] = -1  # no surface, no piece
     sorting = _Sorting(points, triangles, landmarks, piece, local, scale, kind)
-    said = _said(hints, len(points), piece)
+    said = _said(hints, len(points))
     # of a second head, teeth are no teeth of this one
     said[(np.linalg.norm(local, axis=1) > _THIS_MM) & ~np.isin(said, [KINDS.index(STILL), KINDS.index(HELPER)])] = -1
     for name in (HELPER, LASHES, BROWS, TEARS, GROWTH, STILL):
@@ -195,7 +195,7 @@ def _face_axes(landmarks: FloatArray) -> FloatArray:
     return np.stack([right, up, np.cross(right, up)])
 
 
-def _said(hints: Hints, count: int, piece: IntArray) -> IntArray:
+def _said(hints: Hints, count: int) -> IntArray:
     """(n,) the kind that names give, -1 where they give none; TEETH_UPPER for teeth of a row that no name gives."""
     said = np.full(count, -1)
     if hints.name is None or not len(hints.names):

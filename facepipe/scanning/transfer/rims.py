@@ -27,7 +27,6 @@ RIMS = (
     ((36, 37, 38, 39), (36, 41, 40, 39)),
     ((42, 43, 44, 45), (42, 47, 46, 45)),
 )
-SLITS = ("mouth", "eye_right", "eye_left")
 _STATIONS = np.linspace(-0.15, 1.15, 131)  # of the way from corner to corner
 _SHARES = np.linspace(0.08, 0.92, 8)  # of an opening, where rims are laid on one another
 _DEPTH, _HEIGHT = 0.2, 0.6  # of a slit's width: so far from the fitted landmarks a rim is looked for
@@ -108,10 +107,8 @@ def opening(lids: tuple[Lid, Lid]) -> tuple[float, float] | None:
     return float(_STATIONS[first]), float(_STATIONS[last])
 
 
-def rim_anchors(
-    template: Template, rows: FloatArray, head: HeadMesh, labels: IntArray, sides: IntArray
-) -> tuple[Anchors, tuple[str, ...]]:
-    """Places of the template's rims with where they belong on the head, and the slits that are open on the head.
+def rim_anchors(template: Template, rows: FloatArray, head: HeadMesh, labels: IntArray, sides: IntArray) -> Anchors:
+    """Places of the template's rims with where they belong on the head.
 
     :param rows: (r, 3) of the fitted template
     :param labels: (r,) and `sides` (s,) of the template and of the head, as `sides_on` finds them
@@ -121,7 +118,7 @@ def rim_anchors(
     skin = template.triangles[seen[template.triangles].all(axis=1)]  # lids, without the sockets that they run into
     meshes = ((rows, skin, labels), (head.points, head.triangles, sides))
     pairs = [edges(np.full(len(triangles), 3), triangles.ravel())[0] for _, triangles, _ in meshes]
-    found, open_slits = Anchors.at_points(np.zeros(0, np.int64), np.zeros((0, 3))), []
+    found = Anchors.at_points(np.zeros(0, np.int64), np.zeros((0, 3)))
     for number, (upper, lower) in enumerate(RIMS, start=1):
         frame = Frame.of(rows[template.landmarks], upper, lower)
         own, other = (
@@ -129,16 +126,13 @@ def rim_anchors(
             for (points, _, marked), ends in zip(meshes, pairs, strict=True)
         )
         ours, theirs = opening((own[0], own[1])), opening((other[0], other[1]))
-        if theirs is None:
-            continue
-        open_slits.append(SLITS[number - 1])
-        if ours is None or np.ptp(theirs) < _LEAST_WIDTH * np.ptp(ours):
+        if ours is None or theirs is None or np.ptp(theirs) < _LEAST_WIDTH * np.ptp(ours):
             continue
         first, last = max(ours[0], theirs[0]), min(ours[1], theirs[1])
         stations = first + _SHARES * (last - first)
         for lid, their_lid in zip(own, other, strict=True):
             found = found.with_more(_laid(lid, their_lid, stations, head.points))
-    return found, tuple(open_slits)
+    return found
 
 
 def _laid(ours: Lid, theirs: Lid, stations: FloatArray, points: FloatArray) -> Anchors:
