@@ -75,7 +75,8 @@ class Carrier:
         """(m, 3) delta of the head, in its own coordinates, of a whole delta (n, 3) of the template."""
         own = delta[self._template.rows]
         # what the shape leaves still is held: gradients alone drift, by 3 mm over a neck longer than the template's
-        transfer = Transfer(self._rows, self._template.triangles, ~own.any(axis=1))
+        still = np.asarray(~own.any(axis=1))
+        transfer = Transfer(self._rows, self._template.triangles, still)
         on_rows = transfer.solve(self._neutral[None], (self._neutral + own)[None]) - self._rows
         on_head = self._fill.filled(self.places.of(on_rows))
         place = self._fit.place
