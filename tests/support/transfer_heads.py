@@ -2,8 +2,7 @@
 
 A head has the face, back, neck and inner mouth of ICT-FaceKit with holes for the eyes, and none of its eyeballs and
 teeth. Its shapes are those of the head in the box, carried to the identity by deformation transfer on the mesh that
-both share, at the points that decimation keeps: each point of the head is one of the identity's. What a shape leaves
-still on the head in the box stays still: gradients alone drift by up to 3 mm over a longer neck. Transfer is on the
+both share, at the points that decimation keeps: each point of the head is one of the identity's. Transfer is on the
 identity whole, with the sockets that its lids run into; without them, blinks are others by 4 to 12 %.
 """
 
@@ -89,11 +88,10 @@ def identity_shapes(identity: FloatArray, names: Sequence[str] = (), *, sockets:
     model, count = ict(), _WITH_SOCKETS if sockets else _SKIN
     faces = model.triangles[(model.triangles < count).all(axis=1)]
     neutral, own = _neutral()[:count], identity[:count]
+    transfer = Transfer(own, faces, np.zeros(count, bool))
     found = {}
     for name in names or shape_names():
-        delta = _deltas()[name][:count]
-        transfer = Transfer(own, faces, ~delta.any(axis=1))
-        found[name] = transfer.solve(neutral[None], (neutral + delta)[None]) - own
+        found[name] = transfer.solve(neutral[None], (neutral + _deltas()[name][:count])[None]) - own
     return found
 
 

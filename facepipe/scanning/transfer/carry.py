@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +21,11 @@ from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.fit import HeadFit
-from facepipe.scanning.transfer.mesh import HeadMesh
 from facepipe.scanning.transfer.places import REACH_MM, nearest_places, places_on
 from facepipe.scanning.transfer.sides import sides_on
 
 _FADE_MM = 60.0  # over which motion dies out on the head's mesh, away from the template
+_STILL_MM = 8.0  # over which it passes into what a shape leaves still
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,43 +66,51 @@ class Carrier:
         rows = fit.points[template.rows]
         self._neutral = template.points[template.rows]
         self._rows = rows
+        self._transfer = Transfer(rows, template.triangles, np.zeros(len(rows), bool))
+        self._own = screened(rows, template.triangles, _STILL_MM)
         nearest = nearest_places(rows, template.triangles, head)
         labels, self.sides = sides_on(template, rows, head, nearest, REACH_MM)
         self.places = places_on(rows, template.triangles, head, labels, self.sides)
         self.reached = self.places.distances <= REACH_MM
-        self._fill = Fill(head, self.reached)
+        self._fill = Fill(screened(head.points, head.triangles, _FADE_MM), self.reached)
 
     def carry(self, delta: FloatArray) -> FloatArray:
         """(m, 3) delta of the head, in its own coordinates, of a whole delta (n, 3) of the template."""
         own = delta[self._template.rows]
-        # what the shape leaves still is held: gradients alone drift, by 3 mm over a neck longer than the template's
+        on_rows = self._transfer.solve(self._neutral[None], (self._neutral + own)[None]) - self._rows
+        # Gradients alone drift, by 4 mm over a neck longer than the template's. What the shape leaves still stays so,
+        # and what is around passes into it: set to 0 it began with a step, and held in the solve it held the chin.
         still = np.asarray(~own.any(axis=1))
-        transfer = Transfer(self._rows, self._template.triangles, still)
-        on_rows = transfer.solve(self._neutral[None], (self._neutral + own)[None]) - self._rows
+        on_rows += Fill(self._own, still).filled(np.where(still[:, None], -on_rows, 0.0))
         on_head = self._fill.filled(self.places.of(on_rows))
         place = self._fit.place
         return np.asarray((on_head @ place.rotation / place.scale)[self._fit.head.group])
 
 
-class Fill:
-    """Motion where the template does not reach: smooth on the head's own mesh, and dying out.
+def screened(points: FloatArray, triangles: IntArray, fade: float) -> Any:
+    """(n, n) sparse ``L + M / fade^2``: a Laplacian whose solutions die out over `fade`, in the points' unit."""
+    from scipy.sparse import diags_array
 
-    ``(L + M / fade^2) x = 0`` with the motion around as it is: a screened Laplacian, since a body below the neck, for
-    which nothing else is known, would go along with it for ever.
+    pairs, weights = cotangent_weights(points, triangles)
+    steps = incidence(pairs, len(points))
+    areas = point_areas(points, triangles)
+    least = 1e-6 * max(float(areas.mean()), np.finfo(np.float64).tiny)
+    screen = diags_array(np.maximum(areas, least) / fade**2)
+    return (steps.T @ diags_array(weights) @ steps + screen).tocsr()
+
+
+class Fill:
+    """Motion where it is not known: smooth on a mesh, and dying out.
+
+    ``(L + M / fade^2) x = 0`` with the motion around as it is: a body below the neck, for which nothing else is known,
+    would go along with it for ever.
     """
 
-    def __init__(self, head: HeadMesh, known: BoolArray) -> None:
-        from scipy.sparse import diags_array
-
+    def __init__(self, system: Any, known: BoolArray) -> None:
         self._known, self._open = known, np.flatnonzero(~known)
-        pairs, weights = cotangent_weights(head.points, head.triangles)
-        steps = incidence(pairs, len(head.points))
-        areas = point_areas(head.points, head.triangles)
-        least = 1e-6 * max(float(areas.mean()), np.finfo(np.float64).tiny)
-        screen = diags_array(np.maximum(areas, least) / _FADE_MM**2)
-        system = (steps.T @ diags_array(weights) @ steps + screen).tocsr()[self._open]
-        self._across = system[:, np.flatnonzero(known)]
-        self._factor = factorise(system[:, self._open])
+        rows = system[self._open]
+        self._across = rows[:, np.flatnonzero(known)]
+        self._factor = factorise(rows[:, self._open])
 
     def filled(self, values: FloatArray) -> FloatArray:
         """(s, 3) with those that are not known in place."""
