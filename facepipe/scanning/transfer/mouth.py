@@ -101,7 +101,8 @@ def _lip_line(points: FloatArray, pairs: IntArray, landmarks: FloatArray) -> Int
         for used in [np.unique(pairs)]
         for end in rim[[0, -1]]
     ]
-    graph = csr_array((costs, tuple(pairs.T)), shape=(len(points), len(points)))
+    # indices of 32 bits: older SciPy finds no paths by others
+    graph = csr_array((costs, tuple(pairs.T.astype(np.int32))), shape=(len(points), len(points)))
     _, before = dijkstra(graph, directed=False, indices=ends[0], return_predecessors=True)
     line = [ends[1]]
     while line[-1] != ends[0] and before[line[-1]] >= 0:
