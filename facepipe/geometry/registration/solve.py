@@ -51,7 +51,7 @@ def in_stages(stages: Sequence[Stage], advance: Callable[[Stage], float], progre
     return steps
 
 
-_STAGES = (Stage(5.0, 4.0, 6, 0.3, by_model=True), Stage(2.0, 2.0, 4, 0.5), Stage(1.0, 1.0, 8, 0.05))
+STAGES = (Stage(5.0, 4.0, 6, 0.3, by_model=True), Stage(2.0, 2.0, 4, 0.5), Stage(1.0, 1.0, 8, 0.05))
 _ENOUGH_MODES = 20
 _COARSE_POINTS = 3000
 
@@ -64,6 +64,7 @@ def register(
     options: RegistrationOptions | None = None,
     progress: Callable[[int], None] = lambda step: None,
     shown: Shown | None = None,
+    stages: Sequence[Stage] = STAGES,
 ) -> Registered:
     """Fit a face to a scan.
 
@@ -79,7 +80,7 @@ def register(
     state = _State(
         surface, [View(scan=scan, anchors=anchors, start=start, shown=shown)], options or RegistrationOptions()
     )
-    return state.run(_STAGES, progress)[0]
+    return state.run(stages, progress)[0]
 
 
 def register_together(
@@ -89,6 +90,7 @@ def register_together(
     residual: FloatArray,
     options: RegistrationOptions | None = None,
     progress: Callable[[int], None] = lambda step: None,
+    stages: Sequence[Stage] = STAGES[1:],
 ) -> tuple[Registered, ...]:
     """Refine a face that lies about right on several scans: coefficients, residual, and each scan's place and weights
     of what it shows besides, in one system a step. A result for each scan.
@@ -98,7 +100,7 @@ def register_together(
     """
     state = _State(surface, views, options or RegistrationOptions())
     state.coefficients, state.residual = coefficients, residual
-    return state.run(_STAGES[1:], progress)
+    return state.run(stages, progress)
 
 
 class _State:

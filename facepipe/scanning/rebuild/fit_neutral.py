@@ -17,7 +17,7 @@ from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.landmarks import mirrored
 from facepipe.geometry.polygons import flipped_triangles
-from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, register
+from facepipe.geometry.registration import STAGES, Anchors, DeformableSurface, Registered, register
 from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.scanning.database import FaceDatabase, Quality
 from facepipe.scanning.rebuild.declared import UNITS, FitNeutralOptions, Judged
@@ -126,7 +126,7 @@ def fit_neutral(
     progress: Callable[[int], None] = lambda step: None,
     weights: Mapping[str, float] | None = None,
     *,
-    fitted_size: bool = True,
+    roughly: bool = False,
 ) -> tuple[NeutralScan, Similarity, FitNeutralReport]:
     """The neutral, the place of its scan, and how it lies there.
 
@@ -137,7 +137,7 @@ def fit_neutral(
 
     :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is without
         them
-    :param fitted_size: whether a scan of no given unit is sized with the rest; False: as its landmarks are
+    :param roughly: as a start for more: of the size that its landmarks have, and without the last steps
     :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template lacks, or a scan
         that can't be used
     :raises TopologyError: a database of another topology
@@ -165,11 +165,12 @@ def fit_neutral(
     anchors = landmark_anchors(template, landmarks)
     shown = shown_prior(template, deltas, weights, options.weight_sigma)
     solver = options.registration
-    solver = replace(solver, scale=solver.scale and fitted_size)
+    solver, stages = replace(solver, scale=solver.scale and not roughly), STAGES[:2] if roughly else STAGES
     try:
-        registered = register(surface, target, anchors, start, solver, progress, shown)
+        registered = register(surface, target, anchors, start, solver, progress, shown, stages)
         if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
-            registered = register(surface, target, anchors, start, replace(solver, scale=False), progress, shown)
+            solver = replace(solver, scale=False)
+            registered = register(surface, target, anchors, start, solver, progress, shown, stages)
     except FitError as error:
         raise error.under(scan.name) from None
     lines = (*scan.warnings, *mended)
