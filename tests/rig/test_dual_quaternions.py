@@ -63,6 +63,21 @@ def test_points_are_unskinned_where_they_came_from() -> None:
     assert np.abs(rig.unskin(rig.skin(points, matrices), matrices) - points).max() < 1e-9
 
 
+def test_points_that_bones_flatten_are_unskinned_to_the_nearest_of_their_place_at_bind_time() -> None:
+    rig = build(rich_face())
+    coefficients = turns(1, 0.4)
+    coefficients[:, 6] = 0.0  # scaled to nothing along X
+    matrices = rig.skinning_matrices(rig.rest @ coefficient_matrices(coefficients))
+    linear = rig.blended(matrices)[:, :, :3]
+    flat = np.linalg.matrix_rank(linear, tol=1e-6) == 2
+    assert flat.any()
+    shown = rig.skin(rig.morph(rig.weight_vector({"jawOpen": 1.0})), matrices)
+    found = rig.unskin(shown, matrices)
+    assert np.abs(rig.skin(found, matrices) - shown)[flat].max() < 1e-9
+    lost = np.linalg.svd(linear[flat])[2][:, 2]  # the way that makes no difference
+    assert np.abs(np.einsum("ni,ni->n", lost, (found - rig.points)[flat])).max() < 1e-9
+
+
 def test_an_import_keeps_the_method(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     UsdSkel.BindingAPI(stage.GetPrimAtPath(HEAD)).CreateSkinningMethodAttr(UsdSkel.Tokens.dualQuaternion)
