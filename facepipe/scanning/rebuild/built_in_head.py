@@ -85,12 +85,16 @@ def bare_head(parts: FaceParts) -> FaceParts | None:
 
 
 def people(body: FaceParts) -> FaceDatabase:
-    """Who people may be: the identity modes of the bare head, as a database of nobody."""
+    """Who people may be: the identity modes of the bare head."""
     from facepipe.heads.assembly import modes
 
-    identity = IdentityModel.from_modes(whole_points(body), _TO_MM * modes())
+    return of_nobody(Topology.of(body), IdentityModel.from_modes(whole_points(body), _TO_MM * modes()))
+
+
+def of_nobody(topology: Topology, identity: IdentityModel) -> FaceDatabase:
+    """A database that knows how people differ, and none of them."""
     return FaceDatabase(
-        topology=Topology.of(body),
+        topology=topology,
         identity=identity,
         coefficients=np.zeros((0, len(identity.deviations))),
         expressions=None,

@@ -63,7 +63,7 @@ class FittingAction(TemplateAction):
     """Base of the actions that fit it to what is scanned or modelled, whose field comes after the template's."""
 
     database: Path | None = source(
-        "faces of the template's topology: .fpdb (default for the built-in head its own modes)",
+        "faces of the template's topology: .fpdb (default how people differ from the built-in head)",
         default=None,
         flag="--database",
         metavar="FPDB",
@@ -111,6 +111,7 @@ class FittingAction(TemplateAction):
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
+        from facepipe.scanning.transfer.people import people_on
         from facepipe.verbs.author_neutral import AuthorNeutral
 
         parts = face.parts()
@@ -120,8 +121,7 @@ class FittingAction(TemplateAction):
         elif own is not None:
             database = people(own)
         else:
-            what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
-            raise InputError("--database", what)
+            database = people_on(template)
         # Fitted without hair and lashes, which go with the skin after it.
         body = template.body(database.topology)
         scan, landmarks, notes, photos = self.given(job)

@@ -82,6 +82,10 @@ class Carrier:
         # and what is around passes into it: set to 0 it began with a step, and held in the solve it held the chin.
         still = np.asarray(~own.any(axis=1))
         on_rows += Fill(self._own, still).filled(np.where(still[:, None], -on_rows, 0.0))
+        return self.laid(on_rows)
+
+    def laid(self, on_rows: FloatArray) -> FloatArray:
+        """(m, 3) delta of the head, in its own coordinates, where rows of the fitted template move by (r, 3)."""
         on_head = self._fill.filled(self.places.of(on_rows))
         place = self._fit.place
         return np.asarray((on_head @ place.rotation / place.scale)[self._fit.head.group])

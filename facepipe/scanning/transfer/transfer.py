@@ -27,6 +27,7 @@ from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, fini
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.marks import carried_masks, own_points
+from facepipe.scanning.transfer.people import people_on
 from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, outer_skin, pieces_of
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
@@ -282,7 +283,8 @@ def whole_shapes(
     points, marks = place.apply(head.sewn), place.apply(head.landmarks.points)
     marks = np.where(head.landmarks.known[:, None], marks, fit.points[body.rows[body.landmarks]])
     own_marks = body.points[body.rows[body.landmarks]]
-    motion = motion_of(body.points, body.topology.triangles, own_marks, own, with_inside_fitted(fit.points))
+    laid = fit.points if bare_head(body.parts) is None else with_inside_fitted(fit.points)
+    motion = motion_of(body.points, body.topology.triangles, own_marks, own, laid)
     outer = outer_skin(points, head.surface.triangles, skin, fit.points[body.rows], body.triangles)
     pieces = pieces_of(points, head.surface.triangles, marks, head.hints(), motion.inside, outer)
 
@@ -313,20 +315,20 @@ def whole_shapes(
 
 
 def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
-    """The template without hair and lashes, and who its people may be.
+    """The template, of the built-in head's topology without hair and lashes, and who its people may be.
 
-    :raises InputError: another topology than the built-in head's: nothing is known of who its people may be
+    :raises FacepipeError: a file that can't be used, or a face without landmarks
     """
     from facepipe.heads import make
     from facepipe.importers import read_face
 
     parts, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
     own = bare_head(parts)
+    template = Template.of(parts, where)
     if own is None:
-        what = "another topology than the built-in head's, expected one of `facepipe sample` or made of it: only of "
-        raise InputError(f"{where} -> --from", f"{what}that is known how people differ, which a fit to any head needs")
+        return template, people_on(template)
     database = people(own)
-    return Template.of(parts, where).body(database.topology), database
+    return template.body(database.topology), database
 
 
 def _settled(

@@ -2,7 +2,8 @@
 
 HEAD is a head or a body of any tool (.glb .gltf .vrm .fbx .obj .ply .stl .off or USD), of any pose and unit. All that
 it has stays as it is: points, texture coordinates, materials, joints, skin, clips, shapes. A shape that it has by any
-usual name is not made again, unless --replace is given. Without --from the shapes are those of the built-in head.
+usual name is not made again, unless --replace is given. Without --from the shapes are those of the built-in head; a
+FACE of another topology gets how people differ by a fit of the built-in head to it first, for 10 to 20 s more.
 
 Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
 else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 _NAMES = r"index\.html|report\.json|shapes\.png"  # in the folder of the report
-_STEPS = 90  # of the fit, and one a shape
+_STEPS = 70  # of the fit, at most 17, and one a shape
 
 
 @action("transfer", "give a head of others the shapes of a template")
@@ -46,7 +47,7 @@ class TransferAction(StageAction["TransferReport"]):
 
     head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     template: Path | None = source(
-        "face on the built-in head's topology, with shapes (default that head)",
+        "face of any topology with shapes and multipie68 landmarks (default the built-in head)",
         default=None,
         flag="--from",
         metavar="FACE",

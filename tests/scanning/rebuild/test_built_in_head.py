@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Capsys, done, failed, run
+from command_line import Capsys, done, run
 from contacts import BLINKS, Subject, blink, eye_sheets, person
 from import_data import shared
 from node import validate
@@ -18,15 +18,13 @@ import facepipe
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.heads import make
 from facepipe.heads.asset import asset
-from facepipe.importers.scan_ply import write_ply
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
 from facepipe.scanning.rebuild.built_in_head import bare_head, people, settled
 from facepipe.scanning.rebuild.fit_neutral import are_sealed, shut_eyes, with_sealed_lips
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scanning.rebuild.template import Template
-from facepipe.scans import Scan, ScanLandmarks
-from facepipe.stage import save_parts
+from facepipe.scans import ScanLandmarks
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.whole_faces import Topology, whole_points
 
@@ -104,17 +102,6 @@ def test_lips_that_the_landmarks_show_shut_meet() -> None:
     width = np.linalg.norm(points[marks[64]] - points[marks[60]])
     far = np.linalg.norm(points - points[marks[60:68]].mean(axis=0), axis=1) > width
     np.testing.assert_array_equal(sealed[far], moved[far])
-
-
-def test_other_templates_need_a_database(tmp_path: Path, capsys: Capsys) -> None:
-    parts = make(0)
-    save_parts(replace(parts, meshes=parts.meshes[:1], animations=(), played=None, sliders=()), tmp_path / "head.usda")
-    mesh = parts.meshes[0]
-    write_ply(Scan(name="scan", points=np.asarray(mesh.points, np.float64)), tmp_path / "scan.ply")
-    words = ("fit-neutral", tmp_path / "scan.ply", "--template", tmp_path / "head.usda", "-o", tmp_path / "out.usda")
-    assert "--database: none given, expected faces of the template's topology" in failed(
-        capsys, *words, folder=tmp_path
-    )
 
 
 @pytest.mark.needs_torch

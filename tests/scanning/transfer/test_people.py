@@ -1,0 +1,79 @@
+"""Faces of other topologies as templates: how people differ is known on them, and heads take their shapes and mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_head
+from command_line import done, failed
+
+import facepipe
+from facepipe.heads import make
+from facepipe.importers import read_face
+from facepipe.scanning.rebuild.template import Template
+from facepipe.scanning.transfer.people import people_on
+from facepipe.stage import save_parts
+from facepipe.verbs.whole_faces import whole_face, whole_points
+
+Capsys = pytest.CaptureFixture[str]
+PERSON = 3
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`template.usda`, of another topology than the built-in head, and a person's `head.usda` without shapes."""
+    folder = tmp_path_factory.mktemp("people")
+    save_parts(small_head.lean(small_head.make(), "jawOpen"), folder / "template.usda")
+    save_parts(small_head.lean(make(PERSON)), folder / "head.usda")
+    return folder
+
+
+@pytest.mark.slow
+def test_people_on_another_topology_are_people() -> None:
+    template = Template.of(small_head.make(), "small head")
+    identity = people_on(template).identity
+    assert identity.mean.shape == template.points.shape
+    skin = template.rows[template.face]
+    for seed in (1, 2, PERSON):
+        person = whole_points(small_head.make(seed))
+        shown = identity.points(identity.coefficients(person))
+        off = np.linalg.norm((shown - person)[skin], axis=1).mean()
+        apart = np.linalg.norm((template.points - person)[skin], axis=1).mean()
+        assert off < 0.25 * apart
+
+
+@pytest.mark.slow
+def test_a_head_takes_the_shapes_of_a_template_of_another_topology(folder: Path) -> None:
+    facepipe.transfer(head=folder / "head.usda", template=folder / "template.usda", out=folder / "out.usda")
+    found = whole_face(read_face(folder / "out.usda").parts(), "found").deltas
+    assert list(found) == ["jawOpen"]
+    truth = whole_face(make(PERSON), "truth").deltas["jawOpen"]
+    moves = np.linalg.norm(truth, axis=1)
+    off = np.linalg.norm(found["jawOpen"] - truth, axis=1)
+    assert off[moves > 0.3].mean() < 0.1 * moves[moves > 0.3].mean()
+
+
+@pytest.mark.slow
+def test_a_template_of_another_topology_takes_the_shape_of_a_head(folder: Path, capsys: Capsys) -> None:
+    words = ("conform", folder / "head.usda", "--template", folder / "template.usda", "-o", folder / "conformed.usda")
+    done(capsys, *words, quiet=False)
+    found, template = (read_face(folder / name).parts() for name in ("conformed.usda", "template.usda"))
+    assert [mesh.name for mesh in found.meshes] == [mesh.name for mesh in template.meshes]
+    for mesh, before in zip(found.meshes, template.meshes, strict=True):
+        np.testing.assert_array_equal(mesh.face_vertex_indices, before.face_vertex_indices)
+    off = np.linalg.norm(whole_points(found) - whole_points(small_head.make(PERSON)), axis=1)
+    apart = np.linalg.norm(whole_points(template) - whole_points(small_head.make(PERSON)), axis=1)
+    assert off.mean() < 0.5 * apart.mean()
+
+
+@pytest.mark.parametrize(("verb", "flag"), [("transfer", "--from"), ("conform", "--template")])
+def test_a_template_needs_landmarks(verb: str, flag: str, tmp_path: Path, capsys: Capsys) -> None:
+    parts = small_head.lean(small_head.make())
+    save_parts(parts, tmp_path / "head.usda")
+    meshes = (replace(parts.meshes[0], landmarks={}), *parts.meshes[1:])
+    save_parts(replace(parts, meshes=meshes), tmp_path / "plain.usda")
+    words = (verb, tmp_path / "head.usda", flag, tmp_path / "plain.usda", "-o", tmp_path / "out.usda")
+    assert "plain.usda: has no multipie68 landmarks, expected 68" in failed(capsys, *words, folder=tmp_path)
