@@ -36,6 +36,7 @@ from facepipe.verbs.skin.skin_face import SkinFace
 from facepipe.verbs.whole_faces import Topology, to_millimetres, whole_face
 
 _Key = TypeVar("_Key")
+_Moves = TypeVar("_Moves")
 # Of the fit. A head 5 mm off all people, smoothly, is 3.2 mm beyond the model and 4.9 standard deviations from the mean
 # person; a head with a beak of 80 mm is 7.7 and 4.9, a ball with landmarks on it 3.1 and 11.
 _RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
@@ -89,7 +90,7 @@ def wanted_shapes(
     """The template's shapes to bring, and those that the head has: shape -> the head's name.
 
     :param shapes: none: ARKit's, where the template has some; ("all",): every one
-    :param anew: also those that the head has
+    :param anew: also those that the head has as one
     :raises InputError: a shape that the template lacks
     """
     names: Sequence[str] = [name for name in template.shapes if name in ARKIT_SHAPES] or template.shapes
@@ -98,7 +99,13 @@ def wanted_shapes(
     for name in names:
         if name not in template.shapes:
             raise InputError("--shapes", unknown(name, template.shapes, "shape of the template"))
-    own = {} if anew else match_shapes(names, head.shapes, shapes_of(head.meshes))
+    own = match_shapes(names, head.shapes, shapes_of(head.meshes))
+    if anew:  # one that the head has in halves stays: both would move it
+        own = {
+            name: found
+            for name, found in own.items()
+            if any(sum(one in group for one in found) > 1 for group in shapes_of(head.meshes))
+        }
     return tuple(name for name in names if name not in own), {name: ", ".join(found) for name, found in own.items()}
 
 
@@ -139,6 +146,7 @@ def transfer(
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
     if "shapes" in wanted and names:
         made, face_points = _shapes_of(head, skin, body, fit, names, kept, step)
+        made = _by_own_names(made, match_shapes(names, parts.shapes, shapes_of(parts.meshes)), head)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -233,6 +241,35 @@ def _shapes_of(
     skin_deltas = dict(carried(body, fit, wished, lambda name: _done(step)).deltas)
     jaw = skin_deltas.pop("jawOpen") if more else _own_jaw(head, kept, skin)
     return whole_shapes(head, skin, body, fit, own, skin_deltas, jaw)
+
+
+def _by_own_names(made: Finished, own: Mapping[str, Sequence[str]], head: Head) -> Finished:
+    """The shapes by the names that the head has for them, in whose place they come.
+
+    :param own: name -> the head's, of meshes that call it differently several
+    """
+    groups = shapes_of(head.parts.meshes)
+
+    def renamed(deltas: Mapping[str, _Moves], part: Callable[[_Moves, BoolArray], _Moves]) -> dict[str, _Moves]:
+        found: dict[str, _Moves] = {}
+        for name, moves in deltas.items():
+            for number, called in enumerate(own.get(name, (name,))):
+                others = [one for one in own.get(name, ()) if one != called]
+                there = [called in group or (number == 0 and not {*others} & {*group}) for group in groups]
+                found[called] = part(moves, np.array(there)[head.surface.mesh])
+        return found
+
+    def of_points(delta: FloatArray, there: BoolArray) -> FloatArray:
+        return np.where(there[:, None], delta, 0.0)
+
+    return replace(
+        made,
+        deltas=renamed(made.deltas, of_points),
+        inbetweens=renamed(
+            made.inbetweens, lambda ways, there: {way: of_points(one, there) for way, one in ways.items()}
+        ),
+        verdicts=tuple(replace(one, name=own.get(one.name, (one.name,))[0]) for one in made.verdicts),
+    )
 
 
 def _done(step: Callable[[], object]) -> None:

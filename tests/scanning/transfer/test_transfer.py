@@ -177,6 +177,38 @@ def test_shapes_that_a_head_has_by_any_name_are_kept(small: FaceParts, name: str
     assert KEPT in wanted_shapes(small, renamed(small, name), (), anew=True)[0]
 
 
+def test_a_shape_that_a_head_has_in_halves_is_not_made_beside_them(small: FaceParts) -> None:
+    head = small.meshes[0]
+    halves = [replace(one, name=f"cheekPuff_{side}") for one in head.blendshapes[:1] for side in "LR"]
+    parts = replace(small, meshes=(replace(head, blendshapes=tuple(halves)), *bare(small).meshes[1:]))
+    names, kept = wanted_shapes(small, parts, ("cheekPuff", "jawOpen"), anew=True)
+    assert (names, kept) == (("jawOpen",), {"cheekPuff": "cheekPuff_L, cheekPuff_R"})
+
+
+@pytest.mark.slow
+def test_shapes_made_anew_have_the_names_that_the_head_has_for_them(
+    small: FaceParts, tmp_path: Path, capsys: Capsys
+) -> None:
+    """One of them by another name on each mesh, as Maya's namespaces have it."""
+    called = [{"jawOpen": f"{where}.JawOpen", "eyeBlinkLeft": "Blink_L"} for where in ("head", "inside")]
+    meshes = []
+    for mesh, names in zip(small.meshes, [called[0], *[called[1]] * (len(small.meshes) - 1)], strict=True):
+        shapes = [one for one in mesh.blendshapes if one.name in names]
+        faint = tuple(replace(one, name=names[one.name], offsets=0.1 * one.offsets, inbetweens=()) for one in shapes)
+        meshes.append(replace(mesh, blendshapes=faint))
+    source = replace(small, meshes=tuple(meshes), sliders=())
+    save_parts(source, tmp_path / "head.usda")
+    words = ("transfer", tmp_path / "head.usda", "-o", tmp_path / "out.usda", "--shapes", *FEW, "--replace")
+    done(capsys, *words, quiet=False)
+    result = read_face(tmp_path / "out.usda").parts()
+    assert result.shapes == source.shapes
+    for found, before in zip(result.meshes, source.meshes, strict=True):
+        for one, faint in zip(found.blendshapes, before.blendshapes, strict=True):
+            assert one.name == faint.name
+            if len(faint.point_indices) > 100:
+                assert np.abs(one.offsets).max() > 5.0 * np.abs(faint.offsets).max()
+
+
 def test_shapes_are_those_asked_for_or_all(small: FaceParts) -> None:
     nothing = bare(small)
     assert wanted_shapes(small, nothing, FEW, anew=False) == (FEW, {})
