@@ -238,7 +238,7 @@ def files(data: Path) -> Iterator[tuple[str, Callable[[], tuple[Any, FloatArray 
             return np.asarray(file["landmarks"])
 
     def opened(path: Path) -> tuple[Any, FloatArray | None]:
-        return read_head(path), known(path)
+        return read_head(path)[0], known(path)
 
     of_heads = (path for path in (data / "heads").glob("*") if path.suffix in (".obj", ".fbx", ".glb"))
     for path in sorted([*of_heads, *(data / "scans").glob("*.glb")]):

@@ -122,8 +122,8 @@ class StageAction(Action[R]):
         """
         return ()
 
-    def made_base(self) -> FaceParts | None:
-        """The face to put the layer over where that is no file's; None: it is that of `base`."""
+    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
+        """The face to put the layer over where that is no file's, and warnings of it; None: it is that of `base`."""
         return None
 
     @abstractmethod

@@ -143,13 +143,14 @@ def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, over
 @contextmanager
 def _opened(action: StageAction[Any]) -> Iterator[tuple[Face, bool]]:
     """The face to put a layer over, and whether its file can't be that layer's: it is imported, or made."""
-    path, parts, warnings = action.base, action.made_base(), tuple[str, ...]()
-    if parts is None:
+    path, made_base = action.base, action.made_base()
+    if made_base is None:
         if path.suffix.lower() in SUFFIXES:
             yield open_face(path), False
             return
         face = read_face(path)
-        parts, warnings = face.parts(), face.warnings
+        made_base = face.parts(), face.warnings
+    parts, warnings = made_base
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         made = Path(folder) / f"{path.stem or 'face'}.usdc"  # the working folder, ".", has no name
         with apart():

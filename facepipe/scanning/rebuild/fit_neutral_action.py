@@ -99,10 +99,10 @@ class FittingAction(TemplateAction):
     def base(self) -> Path:
         return self.fitted if self.template is None else Path(self.template)
 
-    def made_base(self) -> FaceParts | None:
+    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
         from facepipe.heads import make
 
-        return make(textures=_TEXTURES) if self.template is None else None
+        return (make(textures=_TEXTURES), ()) if self.template is None else None
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.scanning.database import QualityLimits, load_database, misses

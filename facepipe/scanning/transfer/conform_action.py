@@ -52,25 +52,26 @@ class ConformAction(FittingAction):
         return Path(self.head)
 
     @cached_property
-    def _parts(self) -> FaceParts:
+    def _read(self) -> tuple[FaceParts, tuple[str, ...]]:
         from facepipe.scanning.transfer.head import read_head
 
         return read_head(Path(self.head))
 
-    def made_base(self) -> FaceParts | None:
-        _ = self._parts  # read first: the built-in head with its textures takes seconds to make
+    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
+        _ = self._read  # read first: the built-in head with its textures takes seconds to make
         return super().made_base()
 
     def given(self, job: Job) -> Given:
         from facepipe.scanning.transfer.head import Head
 
         with job.watch("landmarks", 1) as bar:
-            head = Head.of(self._parts, str(self.head), self.landmarks)
+            parts, warnings = self._read
+            head = Head.of(parts, str(self.head), self.landmarks)
             bar.update()
         # in the unit of its file, which --unit is of
         scan, unit = head.scan_of_skin(), 1000.0 * head.parts.meters_per_unit
         landmarks = replace(head.landmarks, points=head.landmarks.points / unit)
-        return replace(scan, points=scan.points / unit), landmarks, head.notes, {}
+        return replace(scan, points=scan.points / unit), landmarks, (*warnings, *head.notes), {}
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         names = [mesh.name for mesh in face.meshes]

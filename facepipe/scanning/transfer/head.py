@@ -33,17 +33,18 @@ _REACH = 0.05  # of the size of the landmarks: a mesh so far from one has it
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
 
 
-def made_head(path: Path) -> FaceParts | None:
+def made_head(path: Path) -> tuple[FaceParts, tuple[str, ...]] | None:
     """The head of a file that says no unit, in the first usual one that gives it a plausible size, and of a USD file
-    that no facepipe made; None: another, which is read as any face is.
+    that no facepipe made, and what its import warns of; None: another, which is read as any face is.
 
     :raises FacepipeError: a file that can't be used, or a cloud of points
     """
-    suffix = path.suffix.lower()
+    suffix, warnings = path.suffix.lower(), tuple[str, ...]()
     if suffix == ".obj":
-        from facepipe.importers import read_face
+        from facepipe.importers import load
 
-        parts = read_face(path).parts()
+        imported = load("obj", path)
+        parts, warnings = imported.parts, imported.warnings
     elif suffix in _BARE:
         from facepipe.importers.scan_file import read_scan
 
@@ -60,10 +61,10 @@ def made_head(path: Path) -> FaceParts | None:
         parts = FaceParts(name=path.stem, meshes=(mesh,))
     else:
         return _of_other_stage(path) if suffix in USD else None
-    return in_usual_unit(parts)
+    return in_usual_unit(parts), warnings
 
 
-def _of_other_stage(path: Path) -> FaceParts | None:
+def _of_other_stage(path: Path) -> tuple[FaceParts, tuple[str, ...]] | None:
     """What is imported of a stage without a face."""
     from facepipe.core import tokens
     from facepipe.importers import load
@@ -73,18 +74,22 @@ def _of_other_stage(path: Path) -> FaceParts | None:
     stage = open_stage(path)
     if any(is_applied(prim, tokens.FACE_API) for prim in stage.Traverse()):
         return None
-    return load("usd", path).parts
+    imported = load("usd", path)
+    return imported.parts, imported.warnings
 
 
-def read_head(path: Path) -> FaceParts:
-    """The head in any file.
+def read_head(path: Path) -> tuple[FaceParts, tuple[str, ...]]:
+    """The head in any file, and what its import warns of.
 
     :raises FacepipeError: a file that can't be used
     """
     from facepipe.importers import read_face
 
-    parts = made_head(path)
-    return read_face(path).parts() if parts is None else parts
+    made = made_head(path)
+    if made is not None:
+        return made
+    face = read_face(path)
+    return face.parts(), face.warnings
 
 
 @dataclass(frozen=True, kw_only=True)

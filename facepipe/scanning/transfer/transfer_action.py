@@ -80,14 +80,15 @@ class TransferAction(StageAction["TransferReport"]):
         if self.shapes and self.only and "shapes" not in self.only:
             raise InputError("--shapes", "given with --only without shapes, expected one or the other")
 
-    def made_base(self) -> FaceParts | None:
+    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
         from facepipe.scanning.transfer.head import Head, made_head, read_head
 
         if not self.cut_mouth:
             return made_head(Path(self.head))
         from facepipe.scanning.transfer.cut import with_cut_mouth
 
-        return with_cut_mouth(Head.of(read_head(Path(self.head)), str(self.head), self.landmarks))
+        parts, warnings = read_head(Path(self.head))
+        return with_cut_mouth(Head.of(parts, str(self.head), self.landmarks)), warnings
 
     def author(self, face: Face, job: Job) -> TransferReport:
         from facepipe.scanning.transfer.transfer import transfer

@@ -232,8 +232,9 @@ def put_other_stage(path: Path) -> Path:
 
 
 def test_a_stage_of_another_tool_is_a_head_too(small: FaceParts, tmp_path: Path) -> None:
-    parts = made_head(put_other_stage(tmp_path / "hero.usda"))
-    assert parts is not None
+    made = made_head(put_other_stage(tmp_path / "hero.usda"))
+    assert made is not None
+    parts = made[0]
     assert (parts.meters_per_unit, parts.up_axis, [mesh.name for mesh in parts.meshes]) == (0.0254, "Z", ["Skin"])
     save_parts(bare(small), tmp_path / "face.usda")
     assert made_head(tmp_path / "face.usda") is None
@@ -247,10 +248,11 @@ def test_bodies_and_heads_without_a_unit_get_one_by_their_size(
     box = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (0.0, 1.0) for z in (-0.5, 0.5)]) * [deep, high, deep]
     rows = [f"v {x:g} {y:g} {z:g}" for x, y, z in (box / metres).tolist()]
     faces = ["f 1 2 4 3", "f 5 7 8 6", "f 1 5 6 2", "f 3 4 8 7", "f 1 3 7 5", "f 2 6 8 4"]
-    (tmp_path / "box.obj").write_text("\n".join([*rows, *faces]))
-    parts = made_head(tmp_path / "box.obj")
-    assert parts is not None
-    assert parts.meters_per_unit == metres
+    (tmp_path / "box.obj").write_text("\n".join(["mtllib lost.mtl", *rows, *faces]))
+    made = made_head(tmp_path / "box.obj")
+    assert made is not None
+    assert made[0].meters_per_unit == metres
+    assert any("lost.mtl" in line for line in made[1])
 
 
 @pytest.mark.parametrize(
