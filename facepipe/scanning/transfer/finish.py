@@ -10,10 +10,10 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.closest_points import closest_places
+from facepipe.geometry.contacts import Grid
 from facepipe.geometry.geodesics import graph_distances, surface_graph
 from facepipe.geometry.polygons import flipped_triangles, triangle_normals
 from facepipe.scanning.transfer.companions import Companions, Motion
-from facepipe.scanning.transfer.figures import seen_triangles
 from facepipe.scanning.transfer.lids import (
     EYES,
     NO_SOCKET,
@@ -37,6 +37,8 @@ _BY_LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eye
 _OPENS = ("jawOpen", "mouthClose")
 _SEALED = 1.6  # times as far along the surface as straight, from above the mouth to below it
 _MOUTH_MM = 80.0  # from the mouth's middle: surface on which that way is looked for
+_TURNS = (0.0, 0.66, -0.66)  # radians about Y: from where a face is seen
+_FACE_MM = 150.0  # from the middle of the landmarks: a body is not looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,3 +204,20 @@ def mouth_is_sealed(points: FloatArray, skin: IntArray, landmarks: FloatArray) -
     along = graph_distances(graph, [above[[i]] for i in range(3)])[np.arange(3), below]
     straight = np.linalg.norm(points[used][above] - points[used][below], axis=1)
     return bool((along / np.maximum(straight, 1e-9)).max() < _SEALED)
+
+
+def seen_triangles(points: FloatArray, triangles: IntArray, landmarks: FloatArray) -> IntArray:
+    """(k, 3) of `triangles` (t, 3) those of the face that are seen from the front or from between front and side.
+
+    :param points: (n, 3) mm, looking along +Z, Y up
+    :param landmarks: (68, 3) mm
+    """
+    near = np.linalg.norm(points - landmarks.mean(axis=0), axis=1) < _FACE_MM
+    triangles = triangles[near[triangles].all(axis=1)]
+    seen = np.zeros(len(triangles), bool)
+    for turn in _TURNS if len(triangles) else ():
+        sine, cosine = np.sin(turn), np.cos(turn)
+        view = points @ np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]]).T
+        number = Grid.of(view, triangles).first(triangles)[1]
+        seen[number[number >= 0]] = True
+    return triangles[seen]

@@ -15,6 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
 from facepipe.core.threads import one_thread
+from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Recipe, Slider, all_regions
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
@@ -26,7 +27,6 @@ from facepipe.scanning.transfer.companions import motion_of
 from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, finished
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
-from facepipe.scanning.transfer.marks import carried_masks, own_points
 from facepipe.scanning.transfer.people import people_on
 from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, outer_skin, pieces_of
 from facepipe.scans import LANDMARK_SCHEME
@@ -42,6 +42,7 @@ _Moves = TypeVar("_Moves")
 _RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
 _BEYOND_MM, _DEVIATIONS, _LANDMARKS_MM = 6.0, 8.0, 3.0
 _ODD_SIZE = 0.5  # logarithm: children's faces are 0.3 smaller
+_CANDIDATES = 30  # points of the head that may stand for a landmark: enough that no two take the same
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
 
@@ -448,3 +449,34 @@ def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray,
 def _by_shapes(slider: Slider) -> Slider:
     """The slider without what it does to joints, which the head has none of, or others."""
     return replace(slider, channels=(), channel_curves=(), value=None)
+
+
+def carried_masks(
+    masks: Mapping[str, FloatArray], points: FloatArray, triangles: IntArray, places: FloatArray
+) -> dict[str, FloatArray]:
+    """Region -> (m,) mask at `places` (m, 3): that of the template's surface where it is nearest. They sum to 1 where
+    those of the template do.
+
+    :param masks: region -> (n,) mask of the template
+    :param points: (n, 3) of the template, lying on the head
+    """
+    nearest = closest_places(places, points, triangles)
+    corners, shares = triangles[nearest.triangles], place_shares(nearest, points, triangles)
+    return {name: np.asarray((mask[corners] * shares).sum(axis=1)) for name, mask in masks.items()}
+
+
+def own_points(marks: FloatArray, places: FloatArray) -> IntArray:
+    """(l,) the points of `places` (m, 3) that stand for `marks` (l, 3), no two the same: those that are nearest in all.
+
+    On coarse meshes one point is the nearest to two landmarks; either would then move the other's.
+    """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial import cKDTree
+
+    count = min(max(_CANDIDATES, len(marks)), len(places))
+    near = np.unique(cKDTree(places).query(marks, k=np.arange(1, count + 1))[1])
+    distances = np.linalg.norm(marks[:, None] - places[near][None], axis=2)
+    rows, columns = linear_sum_assignment(distances**2)
+    chosen = np.full(len(marks), -1)
+    chosen[rows] = near[columns]
+    return chosen

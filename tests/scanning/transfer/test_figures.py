@@ -3,7 +3,7 @@
 import numpy as np
 
 from facepipe.geometry.polygons import flipped_triangles
-from facepipe.scanning.transfer.figures import seen_triangles
+from facepipe.scanning.transfer.finish import seen_triangles
 
 _SHEET = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]])
 _FACES = np.array([[0, 1, 2], [0, 2, 3]])
