@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.contacts import Grid
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import flipped_triangles, triangle_normals
+from facepipe.geometry.polygons import flipped_triangles
 from facepipe.scanning.transfer.companions import Companions, Motion
 from facepipe.scanning.transfer.lids import (
     EYES,
@@ -23,7 +22,6 @@ from facepipe.scanning.transfer.lids import (
     LidFigures,
     aperture_of,
     closed,
-    eye_frame,
     lid_figures,
     slid,
 )
@@ -79,12 +77,11 @@ def finished(
     """The shapes of a whole head.
 
     :param points: (n, 3) mm, cuts sewn, in the template's place
-    :param triangles: (t, 3)
+    :param triangles: (t, 3) facing outward
     :param landmarks: (68, 3) mm, none unknown: those of the fitted template stand in
     :param carried: name -> (n, 3) mm as the skin moves by the template; ARKit's names
     :param jaw: (n, 3) mm of jawOpen, where that is not carried
     """
-    triangles = outward(points, triangles, landmarks)
     is_skin = np.zeros(len(points), bool)
     is_skin[pieces.of(SKIN)] = True
     skin = triangles[is_skin[triangles].all(axis=1)]
@@ -163,14 +160,6 @@ def _of_lips(
     if name in _OPENS or name not in motion.lips or moved.lids:
         return moved
     return _Moved(as_shut(points, lips, moved.delta, motion.lips[""], motion.lips[name]), moved.ways)
-
-
-def outward(points: FloatArray, triangles: IntArray, landmarks: FloatArray) -> IntArray:
-    """(t, 3) triangles turned so that those at the landmarks of nose and mouth face forwards, as most do."""
-    nearest = closest_places(landmarks[27:60], points, triangles).triangles
-    forwards = eye_frame(landmarks, "Left")[1][2] + eye_frame(landmarks, "Right")[1][2]
-    facing = triangle_normals(points, triangles[nearest]) @ forwards
-    return triangles if facing.sum() >= 0 else triangles[:, ::-1]
 
 
 def _aperture(
