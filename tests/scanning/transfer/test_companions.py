@@ -152,19 +152,6 @@ def test_what_cannot_be_is_said() -> None:
     assert "no teeth" in made.notes
 
 
-def test_a_head_turned_inside_out_blinks_as_well() -> None:
-    head, pieces, motion = _whole()
-    nothing = {"eyeBlinkRight": np.zeros_like(head.points)}
-    usual, turned = (
-        finished(head.points, triangles, head.landmarks, pieces, motion, nothing)
-        for triangles in (head.triangles, head.triangles[:, ::-1])
-    )
-    lids = turned.verdicts[0].lids
-    assert lids is not None
-    assert lids.gap_most <= 0.4
-    assert np.allclose(turned.deltas["eyeBlinkRight"], usual.deltas["eyeBlinkRight"], atol=0.2)
-
-
 @pytest.mark.parametrize("holes", [True, False])
 def test_a_sealed_mouth_is_told_by_the_way_over_it(*, holes: bool) -> None:
     points, triangles = plain_heads.skin(holes=holes)

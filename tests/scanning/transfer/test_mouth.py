@@ -8,8 +8,8 @@ import pytest
 
 from facepipe.core.errors import FitError
 from facepipe.geometry.polygons import small_holes
-from facepipe.scanning.transfer.finish import mouth_is_sealed
 from facepipe.scanning.transfer.cut import cut_mouth
+from facepipe.scanning.transfer.finish import mouth_is_sealed
 
 
 def test_a_cut_opens_the_mouth_and_changes_nothing_else() -> None:
