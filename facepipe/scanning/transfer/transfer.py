@@ -147,7 +147,8 @@ def transfer(
     made, face_points = Finished(deltas={}, inbetweens={}, verdicts=(), notes=()), np.ones(len(head.sewn), bool)
     if "shapes" in wanted and names:
         made, face_points = _shapes_of(head, skin, body, fit, names, kept, step)
-        made = _by_own_names(made, match_shapes(names, parts.shapes, shapes_of(parts.meshes)), head)
+        if anew:
+            made = _by_own_names(made, match_shapes(names, parts.shapes, shapes_of(parts.meshes)), head)
     deltas = {name: head.whole(delta) for name, delta in made.deltas.items()}
     settled = partial(
         _settled, head=head, skin=skin, fit=fit, body=body.parts, between=made.inbetweens, wanted=wanted, anew=anew
@@ -355,7 +356,7 @@ def whole_shapes(
 def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
     """The template, of the built-in head's topology without hair and lashes, and who its people may be.
 
-    :raises FacepipeError: a file that can't be used, or a face without landmarks
+    :raises FacepipeError: a file that can't be used, or a face without landmarks or that is like none of people
     """
     from facepipe.heads import make
     from facepipe.importers import read_face
