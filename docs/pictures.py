@@ -49,7 +49,7 @@ from facepipe.scanning.database import create_database, save_database
 from facepipe.scanning.transfer.pictures import shown_faces
 from facepipe.scanning.transfer.transfer import TransferReport
 from facepipe.stage import Face
-from facepipe.verbs.blend import BlendSession, Weights
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.blend.graph import mix
 from facepipe.verbs.whole_faces import whole_face, whole_parts
 
@@ -124,7 +124,8 @@ def blend(folder: Path) -> Image.Image:
     axis, half = np.array([0.3, 1.0, 0.2]), np.radians(3.0) / 2
     turn = rotation_matrices(np.array([*(np.sin(half) * axis / np.linalg.norm(axis)), np.cos(half)]))
     moved = [replace(mesh, points=mesh.points @ turn.T + (0.3, 0.3, 0.265)) for mesh in second.meshes]
-    session = BlendSession([Face.from_parts(first), Face.from_parts(replace(second, meshes=tuple(moved)))])
+    faces = [Face.from_parts(first), Face.from_parts(replace(second, meshes=tuple(moved)))]
+    session = BlendSession(faces, BlendOptions(align="none"))
     others = dict.fromkeys(("eyes", "eyebrows", "mouth"), (0.0, 1.0))
     result = session.neutral(Weights(regions=others, default=(1.0, 0.0)))
     given = session.sources.points

@@ -197,6 +197,7 @@ def blend(
     out: str | os.PathLike[str],
     overwrite: bool = False,
     flatten: bool = False,
+    align: str = "landmarks",
     edges: Literal["uniform", "cotangent"] = "uniform",
     expressions: Literal["static", "document"] = "static",
     missing: Literal["error", "transfer", "skip"] = "error",
@@ -211,6 +212,7 @@ def blend(
 ) -> BlendReport:
     """Mix faces of one topology by region, with shapes and rig: `facepipe blend`.
 
+    :param align: what each source is moved, turned and scaled onto the first one by: landmarks (nine of nose and eyes, that no expression moves), a region, or none
     :param edges: weights of the edges in the solve: all the same, or cotangents of the mean shape
     :param expressions: points that move in no source: held in the bi-Laplacian solve of each shape, or (document) put back after a free solve
     :param missing: shapes that some sources lack: an error, deformation transfer from those that have it, or skipped

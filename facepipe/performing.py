@@ -205,8 +205,9 @@ def recipe_to(action: Action[Any], out: str | os.PathLike[str], **found: Any) ->
     folder = Path(out).absolute().parent
     options = {}
     for field in fields_of(type(action)):
-        if field.kept:
-            value = getattr(action, field.name)
+        value = getattr(action, field.name)
+        # what a recipe without the option means is left out of it: one of before is made again to the same bytes
+        if field.kept and (field.before is None or value != field.before):
             options[field.name] = _seen_from(folder, field, value) if field.role == "source" else field.dump(value)
     files = {relative_path(str(file), folder): file for file in files_of(action, kept=True)}
     return Recipe(
@@ -313,6 +314,9 @@ def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str)
             raise InputError(f"{where} -> {field.name}", f"{str(value)[:40]}, expected the names of sources")
         else:
             values[name] = tuple(words) if field.several else words[0]
+    for name, field in fields.items():
+        if name not in values and field.before is not None:
+            values[name] = field.before
     missing = [field.name for field in fields.values() if field.needed and field.name not in values]
     if missing:
         raise InputError(where, f"no '{missing[0]}', expected one")

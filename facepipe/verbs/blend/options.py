@@ -16,6 +16,12 @@ Expressions = Literal["static", "document"]
 class BlendOptions:
     """How to blend, whatever the weights."""
 
+    align: str = option(
+        "landmarks",
+        "what each source is moved, turned and scaled onto the first one by: landmarks (nine of nose and eyes, that no "
+        "expression moves), a region, or none",
+        before="none",
+    )
     edges: EdgeWeights = option(
         "uniform", "weights of the edges in the solve: all the same, or cotangents of the mean shape"
     )

@@ -172,7 +172,7 @@ def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None 
     :raises TopologyError, InputError: another topology, or locks that don't fit
     """
     graph, count = session.graph, len(session.sources.points)
-    (_, wanted) = stack([session.faces[0], target]).points
+    (_, wanted) = stack([session.faces[0], target]).points  # as it lies: a blend stands in the first one's place
     edges = graph.edges[~np.isin(graph.edges, session.kept.points).any(axis=1)]
     goal = edge_vectors(wanted, edges).ravel()
     # points that each region's whole weight on each source gives, region by region, with the anchor at 0
@@ -235,6 +235,7 @@ class BlendReport(Report):
     shapes: Mapping[str, ShapeQuality] = field(default_factory=dict)
     lids: Mapping[str, LidContact] = field(default_factory=dict)  # by eyeball mesh
     flipped_triangles: int = 0  # of the neutral, against the same mix of the sources' normals
+    aligned: str = "none"  # what later sources are laid on the first one by
     skipped: tuple[str, ...] = ()  # shapes that some source lacks
     transferred: tuple[str, ...] = ()  # "shape: source it was transferred to"
     authored: tuple[str, ...] = ()
@@ -266,6 +267,7 @@ class BlendReport(Report):
             *lids,
             *_names("shapes transferred", self.transferred),
             *_names("shapes left out, as some source lacks them", self.skipped),
+            *([f"sources are laid on the first one by: {self.aligned}"] if self.aligned != "none" else []),
         ]
         return "\n".join(lines)
 
@@ -295,6 +297,7 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
         shapes={sculpt.name: _shape(session, solution, number) for number, sculpt in enumerate(solution.sculpts)},
         lids=lid_contacts(session, solution),
         flipped_triangles=int(turned_triangles(normals, neutral.points, graph.triangles).sum()),
+        aligned=sources.aligned,
         skipped=session.skipped,
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
         warnings=(*sources.warnings, *graph.notes, *neutral.notes, *warnings),

@@ -277,7 +277,7 @@ class BlendSession:
         self.options = options or BlendOptions()
         check_ranges(self.options)
         self.faces = tuple(faces)
-        self.sources = stack(faces)
+        self.sources = stack(faces, self.options.align)
         anchor = anchor_named(self.sources, self.options.anchor)
         self.graph = build_graph(self.sources, self.options.edges, self.options.region_width_mm, anchor)
         graph = self.graph

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.names import unknown
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.geometry.vectors import transformed
-from facepipe.parts import FaceParts, Mesh, TextureInput
+from facepipe.parts import FaceParts, Mesh, TextureInput, all_regions
 from facepipe.rig import build, mesh_spaces, set_face
+from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.whole_faces import check_same_faces, check_spaces, in_order, world_to_world
 
+LANDMARKS, UNALIGNED = "landmarks", "none"
+# The bridge of the nose, its base and the corners of the eyes: what of multipie68 expressions hardly move.
+RIGID = (27, 28, 29, 30, 33, 36, 39, 42, 45)
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
 _SCALED = 1.5
 _SIZES = 1e4
@@ -34,10 +39,11 @@ class Sources:
     parts: tuple[FaceParts, ...]  # meshes in the order of the base
     shapes: tuple[tuple[str, ...], ...]  # names of each one's shapes
     mesh_offsets: IntArray  # (meshes + 1,) first point of each mesh, and the count
-    to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units and up axis
+    to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units, up axis, and alignment
     points: FloatArray  # (K, n, 3) neutral points in bind space
     mm_per_unit: float  # millimetres in a unit of bind space
     joint_maps: tuple[IntArray, ...]  # of every source, number in the base of each of its joints
+    aligned: str  # what later sources are laid on the base by
     warnings: tuple[str, ...] = ()
 
     @property
@@ -46,10 +52,11 @@ class Sources:
         return self.parts[0]
 
 
-def stack(faces: Sequence[Face]) -> Sources:
-    """Read the faces, each as it is set.
+def stack(faces: Sequence[Face], align: str = UNALIGNED) -> Sources:
+    """Read the faces, each as it is set, and laid on the first one.
 
-    :raises InputError: no face, or one that can't be read
+    :param align: ``landmarks``, a region of the first one, or ``none``, as in `BlendOptions`
+    :raises InputError: no face, one that can't be read, or a region that the first lacks
     :raises TopologyError: meshes that differ, with the first difference
     """
     if not faces:
@@ -61,7 +68,8 @@ def stack(faces: Sequence[Face]) -> Sources:
     base = set_face(faces[0].parts()).parts
     if not any(len(mesh.points) for mesh in base.meshes):
         raise TopologyError(names[0], "has no points, expected a face with meshes")
-    parts, warnings = [base], []
+    parts, spaces, warnings = [base], list[FloatArray]([np.eye(4)]), list[str]()
+    held, aligned = _held(base, align, names[0]) if len(faces) > 1 else ({}, UNALIGNED)
     for name, face in zip(names[1:], faces[1:], strict=True):
         source = set_face(face.parts()).parts
         where, joints, base_joints = f"{name} -> {source.skeleton.name}", source.skeleton.joints, base.skeleton.joints
@@ -72,7 +80,8 @@ def stack(faces: Sequence[Face]) -> Sources:
             if joint not in base_joints:
                 what = f"joint '{joint}', which {names[0]} lacks, expected its {len(base_joints)} joints"
                 raise TopologyError(where, what)
-        source, worn = with_cards(base, source, _to_base(source, base))
+        spaces.append(_aligned(base, source, held))
+        source, worn = with_cards(base, source, spaces[-1])
         if worn:
             warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
         parts.append(in_order(base, names[0], source, name))
@@ -82,10 +91,11 @@ def stack(faces: Sequence[Face]) -> Sources:
     for name, face_parts in zip(names, parts, strict=True):
         check_spaces(name, face_parts)
     rigs = [replace(build(part), targets=()) for part in parts]  # offsets are read from the parts, once
-    to_base = np.array([_to_base(part, base) for part in parts])
+    to_base = np.array(spaces)
     numbers = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     warnings += _losses(names, parts)
     moved = [transformed(rig.points, matrix) for rig, matrix in zip(rigs, to_base, strict=True)]
+    _check_sizes(names, [transformed(rig.points, _to_base(part, base)) for rig, part in zip(rigs, parts, strict=True)])
     warnings += _placements(names, moved)
     return Sources(
         names=names,
@@ -100,20 +110,67 @@ def stack(faces: Sequence[Face]) -> Sources:
         joint_maps=tuple(
             np.array([numbers[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
         ),
+        aligned=aligned,
         warnings=tuple(warnings),
     )
 
 
-def _placements(names: Sequence[str], points: Sequence[FloatArray]) -> list[str]:
-    """Warnings of sources that are turned or scaled against the first: a blend takes edges as they are.
+def _held(base: FaceParts, align: str, where: str) -> tuple[dict[str, tuple[IntArray, FloatArray]], str]:
+    """What sources are laid on the base by, mesh -> its points (m,) and their weights (m,), and what that is called.
 
-    :raises InputError: a source without size, or of another size altogether
+    :raises InputError: a region that the base lacks
     """
-    lines = []
+    if align == UNALIGNED:
+        return {}, align
+    if align == LANDMARKS:
+        for mesh in base.meshes:
+            marks = mesh.landmarks.get(LANDMARK_SCHEME)
+            if marks is not None and len(marks.indices) == LANDMARK_COUNT:
+                return {mesh.name: (np.asarray(marks.indices, np.int64)[list(RIGID)], np.ones(len(RIGID)))}, align
+        skin = max(base.meshes, key=lambda mesh: len(mesh.points))
+        mouth = skin.regions.get("mouth")
+        weights = np.ones(len(skin.points)) if mouth is None else 1.0 - np.clip(np.asarray(mouth, np.float64), 0.0, 1.0)
+        return {skin.name: (np.arange(len(weights)), weights)}, f"{skin.name} outside the mouth"
+    if align not in (regions := all_regions(base.meshes)):
+        raise InputError(f"{where} -> --align", unknown(align, [LANDMARKS, UNALIGNED, *regions], "region"))
+    masks = {mesh.name: np.asarray(mesh.regions[align], np.float64) for mesh in base.meshes if align in mesh.regions}
+    return {name: (np.flatnonzero(mask > 0), mask[mask > 0]) for name, mask in masks.items() if (mask > 0).any()}, align
+
+
+def _aligned(base: FaceParts, source: FaceParts, held: Mapping[str, tuple[IntArray, FloatArray]]) -> FloatArray:
+    """(4, 4) from the source's bind space to the base's, with what is `held` laid on the base's by a similarity.
+
+    In closed form and by the same points whatever the source: a threshold, an outlier or a world axis would make a face
+    that was turned another blend than the face itself.
+    """
+    to_base, named = _to_base(source, base), {mesh.name: mesh for mesh in source.meshes}
+    own, other, weights = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    for mesh in base.meshes:
+        if mesh.name in held and len(named.get(mesh.name, mesh).points) == len(mesh.points) and mesh.name in named:
+            rows, shares = held[mesh.name]
+            own.append(transformed(_bound(source, named[mesh.name])[rows], to_base))
+            other.append(_bound(base, mesh)[rows])
+            weights.append(shares)
+    if not own:
+        return to_base
+    fitted = fit_similarity(np.concatenate(own), np.concatenate(other), weights=np.concatenate(weights))
+    laid = np.eye(4)
+    laid[:3, :3], laid[:3, 3] = fitted.scale * fitted.rotation, fitted.translation
+    return np.asarray(laid @ to_base)
+
+
+def _check_sizes(names: Sequence[str], points: Sequence[FloatArray]) -> None:
+    """:raises InputError: a source without size, or of another size altogether"""
     sizes = [float(np.sqrt(((one - one.mean(axis=0)) ** 2).sum(axis=1).mean())) for one in points]
-    for name, placed, size in zip(names, points, sizes, strict=True):
+    for name, size in zip(names, sizes, strict=True):
         if not 0 < size < np.inf or not 1 / _SIZES < size / sizes[0] < _SIZES:
             raise InputError(name, f"{size:g} units across, expected a face of the size of {names[0]} ({sizes[0]:g})")
+
+
+def _placements(names: Sequence[str], points: Sequence[FloatArray]) -> list[str]:
+    """Warnings of sources that stay turned or scaled against the first: a blend takes edges as they are."""
+    lines = []
+    for name, placed in zip(names, points, strict=True):
         fitted = fit_similarity(points[0], placed)
         angle = np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1)))
         if angle > _TURNED:

@@ -44,7 +44,7 @@ def few(kind: str, count: int, expressions: str = "static") -> BlendSession:
     """Misaligned heads with a few shapes, which differ."""
     parts = [only_shapes(head(kind, number), *SHAPES) for number in range(count)]
     others = [misaligned(livelier(one, 1.0 + 0.3 * k), seed=k) for k, one in enumerate(parts[1:], 1)]
-    options = BlendOptions(expressions=expressions)  # type: ignore[arg-type]
+    options = BlendOptions(expressions=expressions, align="none")  # type: ignore[arg-type]
     return BlendSession([Face.from_parts(one) for one in (parts[0], *others)], options)
 
 
@@ -81,7 +81,7 @@ def test_translating_and_re_anchoring_sources_leaves_offsets_alone(kind: str, ex
     parts[1] = livelier(parts[1])
     there = np.eye(4)
     there[:3, 3] = (-90.0, 8.5, 1.25)
-    options = BlendOptions(expressions=expressions)  # type: ignore[arg-type]
+    options = BlendOptions(expressions=expressions, align="none")  # type: ignore[arg-type]
     face = Face.from_parts(parts[0])
     static = {f"Head:{point}" for point in still_border(parts[0])}
     blends = [BlendSession([face, Face.from_parts(moved(parts[1], there))], options)]

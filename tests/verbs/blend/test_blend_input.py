@@ -248,7 +248,7 @@ def test_a_mesh_without_border_needs_an_anchor() -> None:
     wide = changed(cube, lambda mesh: replace_mesh(mesh, points=mesh.points * (3.0, 1, 1)))
     with pytest.raises(InputError, match=r"Cube: no anchor and no open border .* expected an anchor"):
         BlendSession(faces(cube, wide))
-    result = blend_of(cube, wide, anchor="Cube:0")
+    result = blend_of(cube, wide, anchor="Cube:0", align="none")
     same(result.evaluate(), closed().points * (2.0, 1, 1), 1e-6)
     for text in ("Cube:8", "Cube:-1", "Cube", "Ball:0", "Cube:x"):
         with pytest.raises(InputError, match="option anchor"):
@@ -285,7 +285,7 @@ def test_edges_without_length_and_points_without_faces_stay_in_place() -> None:
 def test_a_face_without_regions_takes_the_default_weights() -> None:
     one, two = (changed(tiny_face(i), lambda mesh: replace_mesh(mesh, regions={}, point_subsets={})) for i in (0, 1))
     two = changed(two, lambda mesh: replace_mesh(mesh, points=mesh.points * (2.0, 1.0, 1.0)))
-    session = BlendSession(faces(one, two))
+    session = BlendSession(faces(one, two), BlendOptions(align="none"))
     neutral = session.neutral(Weights(default=(0.25, 0.75)))
     expected = 0.25 * build(one).points + 0.75 * build(two).points
     off = (neutral.points - expected)[:36]

@@ -46,6 +46,15 @@ def test_a_recipe_reads_back_as_it_was_written(folder: Path) -> None:
     assert again.warnings == ()
 
 
+@pytest.mark.parametrize(("align", "kept"), [("landmarks", "landmarks"), ("none", None)])
+def test_recipes_without_alignment_are_of_before_there_was_one(folder: Path, align: str, kept: str | None) -> None:
+    action = BlendFaces(sources=(Path("a.usda"), Path("b.usda")), weights=Weights(), align=align)
+    recipe = recipe_to(action, Path("c.usda"))
+    assert recipe.options.get("align") == kept
+    save_parts(dataclasses.replace(made(0), recipe=recipe), Path("c.usda"))
+    assert read_kept("c.usda", BlendFaces).values["align"] == align
+
+
 def test_a_blend_has_the_recipe_given_or_none(folder: Path, capsys: Capsys) -> None:
     """Never that of its base, which says how another face was made."""
     old = Recipe(verb="sample", sources=("seed",), digests=("sha256:0",), options={"seed": 3}, version="0.1.0")

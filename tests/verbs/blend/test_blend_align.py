@@ -1,0 +1,92 @@
+"""Sources are laid on the first one: a face that is turned, larger or elsewhere is the same source."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from blend_faces import changed, head, moved
+from faces import replace_mesh
+from scipy.spatial.transform import Rotation
+
+from facepipe.core.errors import InputError
+from facepipe.parts import FaceParts
+from facepipe.rig import build
+from facepipe.stage import Face
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.result import result_parts
+
+WEIGHTS = Weights(regions={"mouth": (0.2, 0.8), "eyes": (0.9, 0.1)}, default=(0.5, 0.5))
+ABOUT_MM = 0.005
+
+
+def few(number: int) -> FaceParts:
+    """One of two people with a few shapes."""
+    shapes = ("jawOpen", "eyeBlinkLeft", "mouthSmileLeft")
+
+    def lean(mesh: object) -> object:
+        return replace_mesh(mesh, blendshapes=tuple(one for one in mesh.blendshapes if one.name in shapes))
+
+    return replace(changed(head("sample", number), lean), sliders=(), animations=())
+
+
+def placed(parts: FaceParts, degrees: float, scale: float = 1.0) -> FaceParts:
+    """The face turned, moved and larger."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * np.array([0.48, 0.6, 0.64])).as_matrix()
+    matrix[:3, 3] = (3.0, -20.0, 7.0)
+    return replace(moved(parts, matrix), meters_per_unit=scale * parts.meters_per_unit)
+
+
+def blend(*parts: FaceParts, align: str = "landmarks", weights: Weights = WEIGHTS) -> FaceParts:
+    options = BlendOptions(align=align)
+    session = BlendSession([Face.from_parts(one) for one in parts], options)
+    return result_parts(session, session.solve(weights))
+
+
+def off(found: FaceParts, expected: FaceParts) -> float:
+    """The largest distance in millimetres between points, shapes and joints, at bind time and at rest."""
+    one, other = build(found), build(expected)
+    distances = [np.linalg.norm(one.points - other.points, axis=1).max()]
+    for shape in other.shapes:
+        weights = ({name: float(name == shape) for name in other.shapes},)
+        shown = [rig.evaluate(*weights) for rig in (one, other)]
+        distances.append(np.linalg.norm(shown[0] - shown[1], axis=1).max())
+    for a, b in zip(found.skeleton.bind_transforms, expected.skeleton.bind_transforms, strict=True):
+        distances.append(float(np.linalg.norm(a[:3, 3] - b[:3, 3])))
+        distances.append(float(np.linalg.norm(a[:3, :3] - b[:3, :3])))  # axes of joints: of length 1
+    return 1000.0 * expected.meters_per_unit * float(max(distances))
+
+
+@pytest.fixture(scope="module")
+def plain() -> FaceParts:
+    return blend(few(0), few(1))
+
+
+@pytest.mark.parametrize(("degrees", "scale"), [(8.0, 1.0), (14.0, 1.2), (30.0, 0.6)])
+def test_a_source_turned_and_scaled_is_the_same_source(plain: FaceParts, degrees: float, scale: float) -> None:
+    assert off(blend(few(0), placed(few(1), degrees, scale)), plain) <= ABOUT_MM
+
+
+def test_the_result_stands_where_the_first_source_does(plain: FaceParts) -> None:
+    assert off(blend(placed(few(0), 30.0), few(1)), placed(plain, 30.0)) <= ABOUT_MM
+
+
+def test_faces_taken_as_they_lie_are_bent(plain: FaceParts) -> None:
+    turned = placed(few(1), 14.0)
+    assert off(blend(few(0), turned, align="none"), plain) > 100.0 * ABOUT_MM
+
+
+def test_a_region_holds_what_it_covers() -> None:
+    usual, turned = (blend(few(0), one, align="nose") for one in (few(1), placed(few(1), 30.0, 0.6)))
+    assert off(turned, usual) <= ABOUT_MM
+    with pytest.raises(InputError, match="no region 'noses'"):
+        blend(few(0), few(1), align="noses")
+
+
+def test_without_landmarks_the_skin_outside_the_mouth_holds_and_is_named() -> None:
+    first, second = (changed(few(one), lambda mesh: replace_mesh(mesh, landmarks={})) for one in (0, 1))
+    session = BlendSession([Face.from_parts(one) for one in (first, second)])
+    assert session.sources.aligned == "Head outside the mouth"
+    assert off(blend(first, placed(second, 14.0, 1.2)), blend(first, second)) <= ABOUT_MM
