@@ -127,14 +127,22 @@ def _held(base: FaceParts, align: str, where: str) -> tuple[dict[str, tuple[IntA
             marks = mesh.landmarks.get(LANDMARK_SCHEME)
             if marks is not None and len(marks.indices) == LANDMARK_COUNT:
                 return {mesh.name: (np.asarray(marks.indices, np.int64)[list(RIGID)], np.ones(len(RIGID)))}, align
-        skin = max(base.meshes, key=lambda mesh: len(mesh.points))
+        skin = max(base.meshes, key=lambda mesh: (not _is_cards(mesh, base), len(mesh.points)))
         mouth = skin.regions.get("mouth")
         weights = np.ones(len(skin.points)) if mouth is None else 1.0 - np.clip(np.asarray(mouth, np.float64), 0.0, 1.0)
+        if not weights.any():  # a mouth that is all there is holds as well as any
+            return {skin.name: (np.arange(len(weights)), np.ones(len(weights)))}, skin.name
         return {skin.name: (np.arange(len(weights)), weights)}, f"{skin.name} outside the mouth"
     if align not in (regions := all_regions(base.meshes)):
         raise InputError(f"{where} -> --align", unknown(align, [LANDMARKS, UNALIGNED, *regions], "region"))
-    masks = {mesh.name: np.asarray(mesh.regions[align], np.float64) for mesh in base.meshes if align in mesh.regions}
-    return {name: (np.flatnonzero(mask > 0), mask[mask > 0]) for name, mask in masks.items() if (mask > 0).any()}, align
+    held: dict[str, tuple[IntArray, FloatArray]] = {}
+    for mesh in base.meshes:
+        mask = np.asarray(mesh.regions.get(align, np.zeros(len(mesh.points))), np.float64)
+        if (mask > 0).any():
+            held[mesh.name] = np.flatnonzero(mask > 0), mask[mask > 0]
+    if not held:
+        raise InputError(f"{where} -> --align", f"region '{align}' covers no point, expected one that covers some")
+    return held, align
 
 
 def _aligned(base: FaceParts, source: FaceParts, held: Mapping[str, tuple[IntArray, FloatArray]]) -> FloatArray:

@@ -11,11 +11,12 @@ from faces import replace_mesh
 from scipy.spatial.transform import Rotation
 
 from facepipe.core.errors import InputError
-from facepipe.parts import FaceParts
+from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build
 from facepipe.stage import Face
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.blend.result import result_parts
+from facepipe.verbs.blend.sources import stack
 
 WEIGHTS = Weights(regions={"mouth": (0.2, 0.8), "eyes": (0.9, 0.1)}, default=(0.5, 0.5))
 ABOUT_MM = 0.005
@@ -90,3 +91,19 @@ def test_without_landmarks_the_skin_outside_the_mouth_holds_and_is_named() -> No
     session = BlendSession([Face.from_parts(one) for one in (first, second)])
     assert session.sources.aligned == "Head outside the mouth"
     assert off(blend(first, placed(second, 14.0, 1.2)), blend(first, second)) <= ABOUT_MM
+
+
+def test_a_mouth_over_the_whole_skin_and_a_region_without_points_are_no_traceback() -> None:
+    def masked(number: int, **masks: float) -> FaceParts:
+        def change(mesh: Mesh) -> Mesh:
+            full = {name: np.full(len(mesh.points), value) for name, value in masks.items()}
+            return replace_mesh(mesh, landmarks={}, regions=full if mesh.regions else {})
+
+        return changed(few(number), change)
+
+    faces = [masked(0, mouth=1.0, nose=0.0), placed(masked(1, mouth=1.0, nose=0.0), 30.0, 0.6)]
+    sources = stack([Face.from_parts(one) for one in faces], "landmarks")
+    assert sources.aligned == "Head"
+    assert not sources.warnings
+    with pytest.raises(InputError, match="region 'nose' covers no point"):
+        stack([Face.from_parts(one) for one in faces], "nose")
