@@ -14,7 +14,7 @@ from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.geometry.vectors import transformed
-from facepipe.parts import FaceParts, Mesh, TextureInput, all_regions
+from facepipe.parts import FaceParts, Mesh, Skeleton, TextureInput, all_regions
 from facepipe.rig import build, mesh_spaces, set_face
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
 from facepipe.stage import Face
@@ -72,14 +72,7 @@ def stack(faces: Sequence[Face], align: str = UNALIGNED) -> Sources:
     held, aligned = _held(base, align, names[0]) if len(faces) > 1 else ({}, UNALIGNED)
     for name, face in zip(names[1:], faces[1:], strict=True):
         source = set_face(face.parts()).parts
-        where, joints, base_joints = f"{name} -> {source.skeleton.name}", source.skeleton.joints, base.skeleton.joints
-        for joint in base_joints:
-            if joint not in joints:
-                raise TopologyError(where, f"no joint '{joint}', expected the {len(base_joints)} joints of {names[0]}")
-        for joint in joints:
-            if joint not in base_joints:
-                what = f"joint '{joint}', which {names[0]} lacks, expected its {len(base_joints)} joints"
-                raise TopologyError(where, what)
+        _check_joints(names[0], base.skeleton, name, source.skeleton)
         spaces.append(_aligned(base, source, held))
         source, worn = with_cards(base, source, spaces[-1])
         if worn:
@@ -165,6 +158,19 @@ def _aligned(base: FaceParts, source: FaceParts, held: Mapping[str, tuple[IntArr
     laid = np.eye(4)
     laid[:3, :3], laid[:3, 3] = fitted.scale * fitted.rotation, fitted.translation
     return np.asarray(laid @ to_base)
+
+
+def _check_joints(base: str, expected: Skeleton, name: str, found: Skeleton) -> None:
+    """:raises TopologyError: other joints than the base's"""
+    where = f"{name} -> {found.name}"
+    for joint in expected.joints:
+        if joint not in found.joints:
+            raise TopologyError(where, f"no joint '{joint}', expected the {len(expected.joints)} joints of {base}")
+    for joint in found.joints:
+        if joint not in expected.joints:
+            raise TopologyError(
+                where, f"joint '{joint}', which {base} lacks, expected its {len(expected.joints)} joints"
+            )
 
 
 def _check_sizes(names: Sequence[str], points: Sequence[FloatArray]) -> None:
