@@ -205,6 +205,15 @@ class MovingSystem:
         loose = self._loose.solve(np.concatenate([edge_vectors[count:], bridge_vectors + moved[self._leaders]]))
         return np.concatenate([main, loose])
 
+    def compliance(self, points: IntArray) -> FloatArray:
+        """(p, m) how far each of the main component's moving points goes with a unit force on each of `points` (m,).
+
+        Columns of the inverse of the bi-Laplacian, which is the same for all three coordinates.
+        """
+        units = np.zeros((len(self._main.points), len(points)))
+        units[np.searchsorted(self._main.points, points), np.arange(len(points))] = 1.0
+        return self._main.factored(units)
+
 
 class _Held:
     """One block of a moving system."""
@@ -232,6 +241,10 @@ class _Held:
         if self._given is not None and anchored is not None and anchored.any():
             right = right - self._given @ anchored[None]
         return self._factor.solve(self._squeezed @ right)
+
+    def factored(self, right: FloatArray) -> FloatArray:
+        """(p, m) solutions of the bi-Laplacian itself."""
+        return self._factor.solve(right)
 
 
 def _used(matrix: Any) -> IntArray:

@@ -62,6 +62,9 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
         "find the weights that come nearest to this face", default=None, flag="--match", metavar="TARGET", kept=False
     )
     heatmap: Path | None = beside("draw the result, coloured by its seam residual", ".png", "draw")
+    closeup: Path | None = beside(
+        "draw where skin lies deepest in an eyeball, teeth or the other lip", ".png", "draw_contact"
+    )
 
     own_flags = ("weights",)
 
@@ -126,3 +129,12 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
 
         heatmap = HeatMap(values=face.primvar(SEAM_RESIDUAL), label="seam residual")
         save_png(picture(face.parts(), None, PictureOptions(heatmap=heatmap)), path)
+
+    def draw_contact(self, face: Face, report: BlendReport, path: Path) -> None:
+        """The picture of the worst contact, in its shape; the whole face where there is none."""
+        from facepipe.pictures import PictureOptions, picture, save_png
+        from facepipe.verbs.blend.quality import posed_contact
+
+        parts = face.parts()
+        points, near = posed_contact(parts, report)
+        save_png(picture(parts, points, PictureOptions(framing=near)), path)

@@ -148,11 +148,11 @@ def find_anchor(sources: Sources, given: int | None, component: IntArray) -> tup
         place = back_of_border(upright, mesh.face_vertex_counts, mesh.face_vertex_indices)
         anchor = None if place is None else start + place
         if anchor is not None:
-            notes = (f"no anchor authored, taken from the open border: {_name(sources, anchor)}",)
+            notes = (f"no anchor authored, taken from the open border: {point_name(sources, anchor)}",)
     if given is not None:
         if anchor is not None and component[given] != component[anchor]:
-            what = f"lies on a loose part, expected one joined to the face's own, {_name(sources, anchor)}"
-            raise InputError(f"option anchor -> {_name(sources, given)}", what)
+            what = f"lies on a loose part, expected one joined to the face's own, {point_name(sources, anchor)}"
+            raise InputError(f"option anchor -> {point_name(sources, given)}", what)
         return given, ()
     if anchor is None:
         where = f"{sources.names[0]} -> {sources.base.meshes[_face_mesh(sources.base)].name}"
@@ -166,7 +166,8 @@ def _face_mesh(base: FaceParts) -> int:
     return max(range(len(ranks)), key=ranks.__getitem__)
 
 
-def _name(sources: Sources, point: int) -> str:
+def point_name(sources: Sources, point: int) -> str:
+    """A point that is counted over all meshes as MESH:POINT."""
     number = int(np.searchsorted(sources.mesh_offsets, point, side="right")) - 1
     return f"{sources.base.meshes[number].name}:{point - int(sources.mesh_offsets[number])}"
 
@@ -188,7 +189,7 @@ def region_masks(
     authored = list(all_regions(sources.base.meshes).values()) if names else []
     masks = np.stack(authored).astype(np.float64) if names else np.zeros((0, sources.points.shape[1]))
     for row, point in np.argwhere(masks < 0)[:1]:
-        where = f"{sources.names[0]} -> region {names[row]} -> {_name(sources, int(point))}"
+        where = f"{sources.names[0]} -> region {names[row]} -> {point_name(sources, int(point))}"
         raise InputError(where, f"mask {masks[row, point]:g}, expected 0 or more")
     bare = np.concatenate([np.full(len(mesh.points), not mesh.regions) for mesh in sources.base.meshes])
     total, notes = masks[:, ~bare].sum(axis=0), []

@@ -22,6 +22,11 @@ class BlendOptions:
         "expression moves), a region, or none",
         before="none",
     )
+    contacts: bool = option(
+        True,
+        "skin is held out of eyeballs, teeth, gums and the other lip, but for how deep it lies in them in a source",
+        before=False,
+    )
     edges: EdgeWeights = option(
         "uniform", "weights of the edges in the solve: all the same, or cotangents of the mean shape"
     )

@@ -1,154 +1,82 @@
-"""How good a blend is: the report, in millimetres and as text, cuts of lids into eyeballs, weights for a target."""
+"""How good a blend is: the report, in millimetres and as text, and weights for a target."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import FitError
+from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report, table
 from facepipe.core.threads import one_thread
-from facepipe.geometry.balls import RadialSurface, fit_ball
 from facepipe.geometry.bounded_least_squares import fit_simplex
 from facepipe.geometry.gradient_system import edge_vectors
-from facepipe.geometry.polygons import point_areas, triangle_normals, turned_triangles
-from facepipe.geometry.similarity import fit_similarity
+from facepipe.parts import FaceParts
+from facepipe.rig import build
 from facepipe.stage import Face
-from facepipe.verbs.blend.graph import mean_of_ends, mix
+from facepipe.verbs.blend.contacts import LEAST_MM
+from facepipe.verbs.blend.graph import mean_of_ends, point_name
 from facepipe.verbs.blend.session import BlendSession, Solution
 from facepipe.verbs.blend.sources import stack
 from facepipe.verbs.blend.weights import Weights
 
-_ROUND = 0.1  # RMS distance from a ball, in radii, up to which a part counts as an eyeball
-_LARGE = 0.5  # area of a component, relative to the largest of its part, from which on it may be the outer shell
-_AROUND = 2.0  # radii from an eyeball's centre within which the face is looked at
 _SHOWN = 4  # names of a list
+_CLOSE_MM = 30.0  # around the worst contact: what its picture shows
+_EYE_MM, _MOUTH_MM = 0.1, 0.3  # deeper than in any source than this is a fault, in an eyeball and elsewhere
 
 
 @dataclass(frozen=True, kw_only=True)
-class LidContact:
-    """Depths of points of the face in one eyeball (0 outside), each beside that of the same point in every source.
+class Contact:
+    """How deep skin lies in an eyeball, in teeth, gums or the other lip, beside the same point in every source.
 
     Sockets reach into the eyeballs of many faces as they come: what counts is the point that goes furthest beyond the
     deepest that it does in a source. Where none goes beyond, it is the deepest.
     """
 
-    depth_mm: float  # at rest
-    sources_mm: tuple[float, ...]
+    depth_mm: float = 0.0  # at rest
+    sources_mm: tuple[float, ...] = ()
     worst_shape: str | None = (
         None  # at weight 1, the one that goes furthest beyond, where one goes further than at rest
     )
     worst_depth_mm: float = 0.0
     worst_sources_mm: tuple[float, ...] = ()
+    point: str | None = None  # MESH:POINT of the worst
+    beyond_mm: float = 0.0  # how much deeper it is there than in any source
+    shapes: Mapping[str, float] = field(default_factory=dict)  # the same of every shape that is deeper, mm
+    bound_mm: float = _MOUTH_MM  # what is a fault
 
 
-def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidContact]:
-    """The contact at every kept part that is round and belongs to a mesh named like an eye."""
-    contacts, kept, offsets = {}, session.kept, session.sources.mesh_offsets
-    eyes: list[tuple[str, IntArray]] = []
-    for number, mesh in enumerate(session.sources.base.meshes):
-        inside = (kept.points >= offsets[number]) & (kept.points < offsets[number + 1])
-        parts = np.unique(kept.part[inside])
-        for count, part in enumerate(parts if "eye" in mesh.name.lower() else (), 1):
-            name = mesh.name if len(parts) == 1 else f"{mesh.name} {count}"
-            eyes.append((name, kept.points[kept.part == part]))
-    for name, part in eyes:
-        # points (s,) and triangles (t, 3), into them, of the outermost of a part's large components. Eyeballs are
-        # modelled as one shell around another; small components are irises, lenses and caps.
-        graph, points = session.graph, session.sources.points[0]
-        triangles = graph.triangles[_places(part, len(points))[graph.triangles[:, 0]] >= 0]
-        component = graph.component[part]
-        areas = np.bincount(component, point_areas(points, triangles)[part])
-        reach = np.zeros(len(areas))
-        np.maximum.at(reach, component, np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1))
-        shell = part[component == np.where(areas >= _LARGE * areas.max(), reach, 0.0).argmax()]
-        local = _places(shell, len(points))[triangles]
-        shell = shell, local[local[:, 0] >= 0]
-        stands = [_surface(points, shell) for points in (*session.sources.points, solution.neutral.points)]
-        surfaces = [surface for surface in stands if surface is not None]
-        if len(surfaces) == len(stands):
-            contacts[name] = _Eye(session, solution, part, surfaces).contact()
-    return contacts
-
-
-def _surface(points: FloatArray, shell: tuple[IntArray, IntArray]) -> RadialSurface | None:
-    shell_points = points[shell[0]]
-    try:
-        ball = fit_ball(shell_points, point_areas(shell_points, shell[1]))  # a cornea is modelled more densely
-    except FitError:
-        return None
-    return RadialSurface(shell_points, ball.centre) if ball.rms <= _ROUND * ball.radius else None
-
-
-class _Eye:
-    """One eyeball and the face around it, in the sources and, last, in the blend."""
-
-    def __init__(
-        self, session: BlendSession, solution: Solution, part: IntArray, surfaces: list[RadialSurface]
-    ) -> None:
-        self._solution, self._surfaces, self._mm = solution, surfaces, session.sources.mm_per_unit
-        stands = (*session.sources.points, solution.neutral.points)
-        face = np.flatnonzero(session.graph.main)
-        around = [
-            ((points[face] - surface.centre) ** 2).sum(axis=1) < (_AROUND * surface.largest) ** 2
-            for points, surface in zip(stands, surfaces, strict=True)
-        ]
-        face = face[np.any(around, axis=0)]
-        self._face = [points[face] for points in stands]
-        self._part = [points[part] for points in stands]
-        self._on_face, self._on_part = (_places(own, len(stands[0])) for own in (face, part))
-
-    def contact(self) -> LidContact:
-        """The depths at rest and in the worst shape."""
-        if not len(self._face[0]):
-            return LidContact(depth_mm=0.0, sources_mm=(0.0,) * (len(self._face) - 1))
-        rest = [surface.depths(points) for surface, points in zip(self._surfaces, self._face, strict=True)]
-        beyond, (*sources, depth) = self._furthest(rest)
-        shape, worst = None, [0.0] * len(rest)
-        for number, sculpt in enumerate(self._solution.sculpts):
-            # depths of the face around the eye under the sculpt, in every source and in the blend
-            on_face, on_part = self._on_face[sculpt.points], self._on_part[sculpt.points]
-            skin, eye = on_face >= 0, on_part >= 0
-            posed = list(rest)
-            for k, offsets in enumerate((*sculpt.offsets, self._solution.offsets[number])):
-                if eye.any():
-                    # the eyeball moves too: the face is seen from it
-                    face, part = self._face[k].copy(), self._part[k].copy()
-                    face[on_face[skin]] += offsets[skin]
-                    part[on_part[eye]] += offsets[eye]
-                    motion = fit_similarity(self._part[k], part)
-                    posed[k] = motion.scale * self._surfaces[k].depths(motion.undo(face))
-                elif skin.any():
-                    posed[k] = rest[k].copy()
-                    moved = self._face[k][on_face[skin]] + offsets[skin]
-                    posed[k][on_face[skin]] = self._surfaces[k].depths(moved)
-            further, depths = self._furthest(posed)
-            if further > max(beyond, 0.0):
-                beyond, shape, worst = further, sculpt.name, depths
-        return LidContact(
-            depth_mm=depth,
-            sources_mm=tuple(sources),
-            worst_shape=shape,
-            worst_depth_mm=worst[-1],
-            worst_sources_mm=() if shape is None else tuple(worst[:-1]),
+def contacts(session: BlendSession, solution: Solution) -> dict[str, Contact]:
+    """The contact with every body that skin lies in somewhere."""
+    found: dict[str, Contact] = {}
+    touches = (*solution.neutral.held.touches, *(touch for held in solution.held for touch in held.touches))
+    for body in session.contacts.bodies:
+        own = [touch for touch in touches if touch.body is body]
+        if not own:
+            continue
+        none = (0.0,) * len(session.sources.points)
+        contact = Contact(sources_mm=none, bound_mm=_MOUTH_MM if body.ball is None else _EYE_MM)
+        for touch in own:
+            if touch.shape is None:
+                contact = replace(contact, depth_mm=touch.depth_mm, sources_mm=touch.sources_mm)
+        shapes = {
+            touch.shape: touch.beyond_mm for touch in own if touch.shape is not None and touch.beyond_mm > LEAST_MM
+        }
+        worst = max(own, key=lambda touch: (touch.beyond_mm, touch.shape is None))
+        contact = replace(
+            contact, point=point_name(session.sources, worst.point), beyond_mm=worst.beyond_mm, shapes=shapes
         )
-
-    def _furthest(self, depths: list[FloatArray]) -> tuple[float, list[float]]:
-        """How far beyond the sources a point goes at most, and its depths in all, mm."""
-        beyond = depths[-1] - np.max(depths[:-1], axis=0)
-        point = beyond.argmax() if beyond.max() > 0 else depths[-1].argmax()
-        return float(beyond[point]) * self._mm, [float(depth[point]) * self._mm for depth in depths]
-
-
-def _places(points: IntArray, count: int) -> IntArray:
-    """(count,) place of every point in `points`; -1 where it is not there."""
-    places = np.full(count, -1)
-    places[points] = np.arange(len(points))
-    return places
+        if worst.shape is not None and worst.beyond_mm > LEAST_MM:
+            contact = replace(
+                contact,
+                worst_shape=worst.shape,
+                worst_depth_mm=worst.depth_mm,
+                worst_sources_mm=worst.sources_mm,
+            )
+        found[body.name] = contact
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,7 +145,7 @@ class ShapeQuality:
     static: int  # points that are the blended neutral's to the bit
     deviation: Deviation  # over the edges at moving points
     border_step_mm: float  # the largest deviation over edges between static and moving points
-    flipped_triangles: int  # at weight 1, against the same mix of the sources' normals
+    flipped_triangles: int  # at weight 1, that face away from those of all sources
     largest_offset_mm: float
 
 
@@ -233,8 +161,9 @@ class BlendReport(Report):
     deviation: Deviation
     regions: Mapping[str, Deviation] = field(default_factory=dict)  # edges by the region that most of them is in
     shapes: Mapping[str, ShapeQuality] = field(default_factory=dict)
-    lids: Mapping[str, LidContact] = field(default_factory=dict)  # by eyeball mesh
-    flipped_triangles: int = 0  # of the neutral, against the same mix of the sources' normals
+    contacts: Mapping[str, Contact] = field(default_factory=dict)  # by what skin lies in
+    flipped_triangles: int = 0  # of the neutral, that face away from those of all sources
+    missed: tuple[str, ...] = ()  # contacts that are deeper than any source's by more than they may be
     aligned: str = "none"  # what later sources are laid on the first one by
     skipped: tuple[str, ...] = ()  # shapes that some source lacks
     transferred: tuple[str, ...] = ()  # "shape: source it was transferred to"
@@ -249,12 +178,12 @@ class BlendReport(Report):
             rows.append([name, f"{one.edges:,}", *(f"{mm:.4f}" for mm in (one.rms_mm, one.p95_mm, one.max_mm))])
         steps = [(shape.border_step_mm, name) for name, shape in self.shapes.items()]
         worst = [max(steps, key=lambda step: step[0])] if steps else []
-        lids = []
-        for name, contact in self.lids.items():
-            lids.append(f"{name}: lids cut in by {_depth(contact.depth_mm, contact.sources_mm)}")
+        touching = []
+        for name, contact in self.contacts.items():
+            touching.append(f"{name}: skin lies in it by {_depth(contact.depth_mm, contact.sources_mm)}")
             if contact.worst_shape is not None:
                 depth = _depth(contact.worst_depth_mm, contact.worst_sources_mm)
-                lids[-1] += f"; at worst {depth} with {contact.worst_shape}"
+                touching[-1] += f"; at worst {depth} with {contact.worst_shape}"
         lines = [
             *([] if self.match is None else [_match(self.match, self.sources)]),
             f"{out}: {len(self.sources)} source{'s' * (len(self.sources) != 1)}, {self.points:,} points, "
@@ -264,12 +193,32 @@ class BlendReport(Report):
             f"flipped triangles: {self.flipped_triangles} in the neutral, "
             f"{sum(shape.flipped_triangles for shape in self.shapes.values())} in shapes",
             f"loose parts: {self.loose_parts}; parts that keep their shape: {self.kept_parts}",
-            *lids,
+            *touching,
+            *self.missed,
             *_names("shapes transferred", self.transferred),
             *_names("shapes left out, as some source lacks them", self.skipped),
             *([f"sources are laid on the first one by: {self.aligned}"] if self.aligned != "none" else []),
         ]
         return "\n".join(lines)
+
+
+def posed_contact(parts: FaceParts, report: BlendReport) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) world points of a result in the pose of its worst contact, and (n, 3) what a picture of that frames.
+
+    At rest and as a whole where there is no contact.
+    """
+    if not report.contacts:
+        points = build(parts).evaluate()
+        return points, points
+    worst = max(report.contacts.values(), key=lambda contact: contact.beyond_mm - contact.bound_mm)
+    shape, _, weight = (worst.worst_shape or "").partition("@")
+    points = build(parts).evaluate({shape: float(weight or 1.0)} if shape else None)
+    mesh, _, point = (worst.point or "").rpartition(":")
+    names = [one.name for one in parts.meshes]
+    start = sum(len(one.points) for one in parts.meshes[: names.index(mesh)])
+    centre = points[start + int(point)]
+    far = np.linalg.norm(points - centre, axis=1) * parts.meters_per_unit * 1000.0 > _CLOSE_MM
+    return points, np.where(far[:, None], centre, points)
 
 
 def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, FloatArray]:
@@ -279,13 +228,13 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
     # an edge across regions counts in one alone, of which its ends have most: sums over regions are those of all
     region = np.argmax(graph.masks[:, graph.edges[:, 0]] + graph.masks[:, graph.edges[:, 1]], axis=0)
     names = (*graph.regions, "default")
-    normals = _triangle_mix(neutral.shares, sources.points, graph.triangles)
     count, warnings = len(neutral.points), []
     if len(sources.points) == 1:
         warnings.append("one source: the result is that face")
     short = int((_lengths(edge_vectors(sources.points, graph.edges), 1.0) <= 0).any(axis=0).sum())
     if short:
         warnings.append(f"{short} edges without length in some source: they stay as short as their blended vectors")
+    found = contacts(session, solution)
     report = BlendReport(
         sources=sources.names,
         points=count,
@@ -295,8 +244,11 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
         deviation=_deviation(lengths),
         regions={name: _deviation(lengths[region == i]) for i, name in enumerate(names) if (region == i).any()},
         shapes={sculpt.name: _shape(session, solution, number) for number, sculpt in enumerate(solution.sculpts)},
-        lids=lid_contacts(session, solution),
-        flipped_triangles=int(turned_triangles(normals, neutral.points, graph.triangles).sum()),
+        contacts=found,
+        flipped_triangles=neutral.held.turned,
+        missed=tuple(_too_deep(name, one) for name, one in found.items() if one.beyond_mm > one.bound_mm)
+        if session.options.contacts
+        else (),
         aligned=sources.aligned,
         skipped=session.skipped,
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
@@ -318,24 +270,14 @@ def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuali
     ends = graph.edges[edges]
     lengths = _lengths(edge_vectors(offsets, ends) - wanted, mm)
     border = moving[ends[:, 0]] != moving[ends[:, 1]]
-    # triangles that the shape turns over, beyond what it does in the sources
-    touched = graph.triangles[moving[graph.triangles].any(axis=1)]
-    sculpted = session.sources.points.copy()
-    sculpted[:, sculpt.points] += sculpt.offsets
-    expected = _triangle_mix(neutral.shares, sculpted, touched)
     return ShapeQuality(
         moving=len(sculpt.points),
         static=len(offsets) - len(sculpt.points),
         deviation=_deviation(lengths[moving[ends].any(axis=1)]),
         border_step_mm=float(lengths[border].max(initial=0.0)),
-        flipped_triangles=int(turned_triangles(expected, neutral.points + offsets, touched).sum()),
+        flipped_triangles=solution.held[number].turned,
         largest_offset_mm=float(_lengths(solution.offsets[number], mm).max(initial=0.0)),
     )
-
-
-def _triangle_mix(shares: FloatArray, points: FloatArray, triangles: IntArray) -> FloatArray:
-    """(t, 3) mean normals of the triangles over the sources' points (K, n, 3): wherever these lie, and however far."""
-    return mix(shares[triangles].mean(axis=1), np.stack([triangle_normals(point, triangles) for point in points]))
 
 
 def _lengths(vectors: FloatArray, mm_per_unit: float) -> FloatArray:
@@ -366,6 +308,12 @@ def _match(match: MatchReport, sources: Sequence[str]) -> str:
         rows.append([name, *(f"{one:.3f}" for one in row), *([f"locked to {lock}"] if lock else [])])
     rows.append(["default", *(f"{one:.3f}" for one in match.weights.default or ())])
     return f"{table(rows)}\nedges differ from the target's by {match.rms_mm:.4f} mm RMS, {match.max_mm:.4f} mm at most"
+
+
+def _too_deep(name: str, contact: Contact) -> str:
+    shape = "at rest" if contact.worst_shape is None else f"with {contact.worst_shape}"
+    what = f"skin lies {contact.beyond_mm:.2f} mm deeper in it than in any source {shape} ({contact.point})"
+    return f"{name}: {what}, expected at most {contact.bound_mm:g}"
 
 
 def _depth(depth: float, sources: Sequence[float]) -> str:

@@ -20,6 +20,8 @@ from facepipe.parts import Blendshape, FaceParts
 from facepipe.rig import mesh_spaces
 from facepipe.rig.rig import curves
 from facepipe.stage import Face
+from facepipe.verbs.blend.bodies import LooseParts
+from facepipe.verbs.blend.contacts import Contacts, Held, Motion
 from facepipe.verbs.blend.graph import Graph, Shared, anchor_named, build_graph, joint_worlds, mean_of_ends, mix
 from facepipe.verbs.blend.options import BlendOptions, Missing
 from facepipe.verbs.blend.sources import Sources, stack
@@ -248,6 +250,7 @@ class Neutral(Shared):
     wanted: FloatArray  # (e, 3) blended edge vectors D
     joint_shares: FloatArray  # (j, K)
     joints: FloatArray  # (j, 3)
+    held: Held  # contacts that are left
     notes: tuple[str, ...] = ()
 
 
@@ -257,6 +260,7 @@ class Solution:
 
     neutral: Neutral
     offsets: tuple[FloatArray, ...]
+    held: tuple[Held, ...]  # contacts that are left in every sculpt
     sculpts: tuple[Sculpt, ...] = field(repr=False)
 
 
@@ -287,6 +291,7 @@ class BlendSession:
         self.system = GradientSystem(
             graph.edges, graph.edge_weights, graph.main, graph.bridges, graph.anchor, self.options.solver
         )
+        self.contacts = Contacts(self.sources, graph, self.system, LooseParts(self.kept.points, self.kept.part))
         self.joint_worlds = joint_worlds(self.sources)
         self.edge_vectors = edge_vectors(self.sources.points, graph.edges)
         followers, leaders = graph.bridges.followers, graph.bridges.leaders
@@ -313,6 +318,8 @@ class BlendSession:
         points = self.system.solve(wanted, bridged, self.sources.points[0, graph.anchor])
         # after the solve, which bends loose parts as it does skin: their blended shape is laid on what it made of them
         points[self.kept.points] = self.kept.fit(points, shares)
+        every = np.ones(len(points), bool)
+        held = self.contacts.hold(self.contacts.stand(points), points, every, push=self.options.contacts)
         # shares (j, K) and places (j, 3) of the joints: weighted means over their bridges
         bridges, places = self.graph.joint_bridges, self.joint_worlds[:, :, :3, 3]
         joint, point, count = bridges.followers, bridges.leaders, places.shape[1]
@@ -328,6 +335,7 @@ class BlendSession:
             points=points,
             joint_shares=joint_shares,
             joints=joints,
+            held=held,
             notes=notes,
         )
 
@@ -337,12 +345,18 @@ class BlendSession:
         :param done: called after every sculpt
         """
         neutral, offsets = self.neutral(weights), []
-        for expression in self._expressions:
-            offsets.append(expression.solve(neutral))
+        stand, held = self.contacts.stand(neutral.points), list[Held]()
+        for sculpt, expression in zip(self.sculpts, self._expressions, strict=True):
+            pose, moving = neutral.points.copy(), np.zeros(len(neutral.points), bool)
+            pose[sculpt.points] += expression.solve(neutral)
+            moving[sculpt.points] = True
+            motion = Motion(sculpt.name, sculpt.points, sculpt.offsets)
+            held.append(self.contacts.hold(stand, pose, moving, motion, push=self.options.contacts))
+            offsets.append(pose[sculpt.points] - neutral.points[sculpt.points])
             if not self.live:
                 expression.release()
             done()
-        return Solution(neutral=neutral, offsets=tuple(offsets), sculpts=self.sculpts)
+        return Solution(neutral=neutral, offsets=tuple(offsets), held=tuple(held), sculpts=self.sculpts)
 
     def expression(self, number: int) -> Expression:
         """The solve of one sculpt."""

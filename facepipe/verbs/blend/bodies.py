@@ -1,0 +1,256 @@
+"""What skin may touch: eyeballs, teeth, gums and the other lip, as surfaces in any pose of any face of one topology."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import FitError
+from facepipe.geometry.balls import RadialSurface, fit_ball
+from facepipe.geometry.geodesics import graph_distances, surface_graph
+from facepipe.geometry.polygons import point_areas, point_normals
+from facepipe.geometry.similarity import fit_similarity
+from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
+from facepipe.verbs.blend.graph import Graph
+from facepipe.verbs.blend.sources import Sources
+
+_ROUND = 0.1  # RMS distance from a ball, in radii, up to which a part counts as an eyeball
+_LARGE = 0.5  # area of a component, relative to the largest of its part, from which on it may be the outer shell
+_AROUND = 2.0  # radii from an eyeball's centre within which skin is looked at
+_NEAR_MM = 30.0  # from teeth and gums at rest within which skin is looked at: jaws open as far
+_DEEPEST_MM = 3.0  # from a surface up to which skin is in it, not behind it
+_PLANES = 4  # nearest points whose planes are looked at in sources
+_BEHIND = 4.0  # times as far sources are looked at: what is behind in one of them is let through the whole body
+_LIPS_MM = 16.0  # from the outer lips' landmarks, along the skin: what may meet the other lip
+_JOINED_MM = 3.0  # along the skin from the other lip: lips that are joined there, at corners
+_HARD = ("teeth", "tooth", "gum")  # in names of meshes
+_UPPER, _LOWER = [49, 50, 51, 52, 53], [55, 56, 57, 58, 59]  # landmarks of the outer lips
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What skin may touch: its surface, of points that are counted over all meshes, and the skin around it."""
+
+    name: str
+    points: IntArray  # (p,)
+    triangles: IntArray  # (t, 3) into `points`
+    skin: IntArray  # (s,)
+    ball: IntArray | None = None  # (q,) all points of an eyeball, which is met along rays from its centre
+    soft: bool = False  # skin itself, the other lip: it gives way too
+    facing: IntArray | None = None  # (f, 3) triangles into `skin`, of lips
+
+
+class Touching(NamedTuple):
+    """Points that lie in something."""
+
+    rows: IntArray  # (m,) into the points that were asked for
+    depths: FloatArray  # (m,) above 0
+    out: FloatArray  # (m, 3) unit, the way out
+    leaders: IntArray  # (m,) points that make way the other way; -1 for what does not
+
+
+class LooseParts(NamedTuple):
+    """Parts that keep their shape."""
+
+    points: IntArray  # (p,) into all points
+    part: IntArray  # (p,) number of the part
+
+
+class Surface:
+    """A body in one pose of one face.
+
+    :param pose: (n, 3) all points
+    :param centre: (3,) of an eyeball
+    :param deepest: distance up to which skin is in a body, not behind it
+    """
+
+    def __init__(self, body: Body, pose: FloatArray, centre: FloatArray | None, deepest: float) -> None:
+        from scipy.spatial import cKDTree
+
+        self.body, self._deepest, self._points = body, deepest, pose[body.points]
+        self.ball = None if centre is None else RadialSurface(self._points, centre)
+        if self.ball is None:
+            self._normals = point_normals(self._points, body.triangles)
+            self._tree: Any = cKDTree(self._points)
+            ends = body.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+            lengths = np.linalg.norm(self._points[ends[:, 1]] - self._points[ends[:, 0]], axis=1)
+            self._spacing = np.zeros(len(self._points))
+            np.maximum.at(self._spacing, ends[:, 0], lengths)
+
+    def touching(self, points: FloatArray, normals: FloatArray) -> Touching:
+        """Those of `points` (m, 3) that lie in the body.
+
+        :param normals: (m, 3) of the skin there
+        """
+        if self.ball is not None:
+            depths = self.ball.depths(points)
+            rows = np.flatnonzero(depths > 0)
+            out = points[rows] - self.ball.centre
+            out /= np.maximum(np.linalg.norm(out, axis=1), np.finfo(np.float64).tiny)[:, None]
+            return Touching(rows, depths[rows], out, np.full(len(rows), -1))
+        # by the plane at the nearest point: its triangles take ten times as long, and what counts is how much farther
+        # in the blend is than the sources, which are looked at in the same way
+        far, nearest = self._tree.query(points, distance_upper_bound=self._deepest)
+        rows = np.flatnonzero(np.isfinite(far))
+        nearest = nearest[rows]
+        out = self._normals[nearest]
+        depths = -np.einsum("mi,mi->m", points[rows] - self._points[nearest], out)
+        # beside the border of an open surface is not behind it
+        inside = (depths > 0) & (far[rows] ** 2 - depths**2 < self._spacing[nearest] ** 2)
+        if self.body.soft:
+            inside &= np.einsum("mi,mi->m", out, normals[rows]) < 0  # lips face each other
+        rows, nearest = rows[inside], nearest[inside]
+        leaders = self.body.points[nearest] if self.body.soft else np.full(len(rows), -1)
+        return Touching(rows, depths[inside], out[inside], leaders)
+
+    def depths(self, points: FloatArray) -> FloatArray:
+        """(m,) how deep `points` (m, 3) lie in the body, or behind it, taken generously: it is what is let through."""
+        if self.ball is not None:
+            return self.ball.depths(points)
+        far, nearest = self._tree.query(points, k=_PLANES, distance_upper_bound=_BEHIND * self._deepest)
+        found = np.isfinite(far)
+        nearest = np.where(found, nearest, 0)
+        depths = -np.einsum("mki,mki->mk", points[:, None] - self._points[nearest], self._normals[nearest])
+        return np.asarray(np.where(found, depths, 0.0).max(axis=1).clip(0.0))
+
+
+class Stand:
+    """One face, a source or the blend, at rest: its points (n, 3) and the surfaces of all bodies."""
+
+    def __init__(self, bodies: Sequence[Body], points: FloatArray, mm_per_unit: float) -> None:
+        self._points, self._deepest = points, _DEEPEST_MM / mm_per_unit
+        self._rest = {body: Surface(body, points, _centre(body, points), self._deepest) for body in bodies}
+
+    def surface(self, body: Body, pose: FloatArray, moving: BoolArray) -> Surface:
+        """A body in a pose (n, 3) of the face in which some points (n,) move."""
+        rest = self._rest[body]
+        if not moving[body.points].any():
+            return rest
+        centre = None
+        if body.ball is not None and rest.ball is not None:
+            motion = fit_similarity(self._points[body.ball], pose[body.ball])
+            centre = motion.apply(rest.ball.centre[None])[0]
+        return Surface(body, pose, centre, self._deepest)
+
+
+def _centre(body: Body, points: FloatArray) -> FloatArray | None:
+    """Of an eyeball."""
+    if body.ball is None:
+        return None
+    shell = points[body.points]
+    try:
+        return fit_ball(shell, point_areas(shell, body.triangles)).centre  # a cornea is modelled more densely
+    except FitError:
+        return np.asarray(shell.mean(axis=0))
+
+
+def find_bodies(sources: Sources, graph: Graph, loose: LooseParts) -> tuple[Body, ...]:
+    """All that skin may touch."""
+    return (*_eyeballs(sources, graph, loose), *_solids(sources, graph), *_lips(sources, graph))
+
+
+def _eyes(sources: Sources, loose: LooseParts) -> Iterator[tuple[str, IntArray]]:
+    """Names and all points of parts that may be eyeballs: those in meshes named like an eye."""
+    offsets = sources.mesh_offsets
+    for mesh, start, end in zip(sources.base.meshes, offsets[:-1], offsets[1:], strict=True):
+        inside = (loose.points >= start) & (loose.points < end)
+        parts = np.unique(loose.part[inside])
+        for count, part in enumerate(parts if "eye" in mesh.name.lower() else (), 1):
+            yield mesh.name if len(parts) == 1 else f"{mesh.name} {count}", loose.points[loose.part == part]
+
+
+def _eyeballs(sources: Sources, graph: Graph, loose: LooseParts) -> Iterator[Body]:
+    """Every kept part that is round and belongs to a mesh named like an eye."""
+    face = np.flatnonzero(graph.main)
+    for name, part in _eyes(sources, loose):
+        shell, triangles = _outer_shell(part, sources.points[0], graph)
+        around, known = np.zeros(len(face), bool), True
+        for points in sources.points:
+            try:
+                ball = fit_ball(points[shell], point_areas(points[shell], triangles))
+            except FitError:
+                known = False
+                break
+            known &= ball.rms <= _ROUND * ball.radius
+            around |= np.linalg.norm(points[face] - ball.centre, axis=1) < _AROUND * ball.radius
+        if known and around.any():
+            yield Body(name, shell, triangles, face[around], ball=part)
+
+
+def _solids(sources: Sources, graph: Graph) -> Iterator[Body]:
+    """Teeth and gums, all of a mesh at once."""
+    from scipy.spatial import cKDTree
+
+    face, base = np.flatnonzero(graph.main), sources.points[0]
+    offsets = sources.mesh_offsets
+    for mesh, start, end in zip(sources.base.meshes, offsets[:-1], offsets[1:], strict=True):
+        points = np.flatnonzero(~graph.main[start:end]) + start
+        if not len(points) or not any(word in mesh.name.lower() for word in _HARD):
+            continue
+        triangles = _inside(points, graph.triangles, len(base))
+        far, _ = cKDTree(base[points]).query(base[face], distance_upper_bound=_NEAR_MM / sources.mm_per_unit)
+        if len(triangles) and np.isfinite(far).any():
+            yield Body(mesh.name, points, triangles, face[np.isfinite(far)])
+
+
+def _lips(sources: Sources, graph: Graph) -> Iterator[Body]:
+    """Each lip as what the other may touch; none without landmarks."""
+    base, triangles, main = sources.points[0], graph.triangles, graph.main
+    for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True):
+        marks = mesh.landmarks.get(LANDMARK_SCHEME)
+        if marks is None or len(marks.indices) != LANDMARK_COUNT:
+            continue
+        numbers = np.asarray(marks.indices, np.int64) + start
+        corners = base[numbers[[48, 54]]]
+        close = np.linalg.norm(base - corners.mean(axis=0), axis=1) < np.linalg.norm(corners[1] - corners[0])
+        skin = np.flatnonzero(close & main)
+        place = np.full(len(base), -1)
+        place[skin] = np.arange(len(skin))
+        if (place[numbers[[*_UPPER, *_LOWER]]] < 0).any():
+            return
+        own = _inside(skin, triangles, len(base))
+        graph = surface_graph(base[skin], np.pad(own, ((0, 0), (0, 1)), constant_values=-1))
+        upper, lower = graph_distances(graph, [place[numbers[_UPPER]], place[numbers[_LOWER]]])
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(upper - lower) > _JOINED_MM / sources.mm_per_unit
+        near = np.minimum(upper, lower) < _LIPS_MM / sources.mm_per_unit
+        lips = [skin[near & apart & side] for side in (upper < lower, upper > lower)]
+        for name, points, other in zip(("lower lip", "upper lip"), lips, lips[::-1], strict=True):
+            if len(points) and len(other):
+                yield Body(
+                    name,
+                    points,
+                    _inside(points, triangles, len(base)),
+                    other,
+                    soft=True,
+                    facing=_inside(other, triangles, len(base)),
+                )
+        return
+
+
+def _outer_shell(part: IntArray, points: FloatArray, graph: Graph) -> tuple[IntArray, IntArray]:
+    """Points (s,) and triangles (t, 3), into them, of the outermost of a part's large components.
+
+    Eyeballs are modelled as one shell around another; small components are irises, lenses and caps.
+    """
+    inside = np.zeros(len(points), bool)
+    inside[part] = True
+    triangles = graph.triangles[inside[graph.triangles[:, 0]]]
+    component = graph.component[part]
+    areas = np.bincount(component, point_areas(points, triangles)[part])
+    reach = np.zeros(len(areas))
+    np.maximum.at(reach, component, np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1))
+    shell = part[component == np.where(areas >= _LARGE * areas.max(), reach, 0.0).argmax()]
+    return shell, _inside(shell, triangles, len(points))
+
+
+def _inside(points: IntArray, triangles: IntArray, count: int) -> IntArray:
+    """(t, 3) those of `triangles` whose corners are all among `points`, as places in these."""
+    place = np.full(count, -1)
+    place[points] = np.arange(len(points))
+    placed = place[triangles]
+    return np.asarray(placed[(placed >= 0).all(axis=1)])
