@@ -198,6 +198,7 @@ def blend(
     overwrite: bool = False,
     flatten: bool = False,
     align: str = "landmarks",
+    contacts: bool = True,
     edges: Literal["uniform", "cotangent"] = "uniform",
     expressions: Literal["static", "document"] = "static",
     missing: Literal["error", "transfer", "skip"] = "error",
@@ -209,10 +210,12 @@ def blend(
     weights: Weights | Mapping[str, Any] | None = None,
     match: str | os.PathLike[str] | None = None,
     heatmap: str | os.PathLike[str] | None = None,
+    closeup: str | os.PathLike[str] | None = None,
 ) -> BlendReport:
     """Mix faces of one topology by region, with shapes and rig: `facepipe blend`.
 
     :param align: what each source is moved, turned and scaled onto the first one by: landmarks (nine of nose and eyes, that no expression moves), a region, or none
+    :param contacts: skin is held out of eyeballs, teeth, gums and the other lip, but for how deep it lies in them in a source
     :param edges: weights of the edges in the solve: all the same, or cotangents of the mean shape
     :param expressions: points that move in no source: held in the bi-Laplacian solve of each shape, or (document) put back after a free solve
     :param missing: shapes that some sources lack: an error, deformation transfer from those that have it, or skipped
@@ -225,6 +228,7 @@ def blend(
     :param weights: 
     :param match: find the weights that come nearest to this face
     :param heatmap: draw the result, coloured by its seam residual
+    :param closeup: draw where skin lies deepest in an eyeball, teeth or the other lip
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there
     :param flatten: write a standalone file

@@ -175,7 +175,7 @@ def sources(kind: str, count: int = 2, variant: str = "aligned") -> tuple[Face, 
 @functools.cache
 def session(kind: str, count: int = 2, variant: str = "aligned", options: BlendOptions | None = None) -> BlendSession:
     """A session over `sources`, as they lie without options, kept for all tests."""
-    return BlendSession(sources(kind, count, variant), options or BlendOptions(align="none"))
+    return BlendSession(sources(kind, count, variant), options or BlendOptions(align="none", contacts=False))
 
 
 def blended(blend: BlendSession, weights: Weights) -> Face:

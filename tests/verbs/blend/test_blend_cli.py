@@ -22,7 +22,7 @@ from facepipe.cli.parser import Parser
 from facepipe.performing import read_kept, recipe_to
 from facepipe.stage import save_parts
 from facepipe.verbs.blend import Blend, BlendFaces, Weights
-from facepipe.verbs.blend.quality import LidContact, _deviation
+from facepipe.verbs.blend.quality import Contact, _deviation
 from facepipe.verbs.blend.weights import weights_to_json
 
 # --- blending
@@ -72,9 +72,9 @@ def test_the_summary_counts_parts_shapes_and_lids(folder: Path, capsys: Capsys) 
     assert report.loose_parts == 1
     assert "transferred" not in plain
     assert "left out" not in plain
-    lids = {
-        "EyeLeft": LidContact(depth_mm=0.125, sources_mm=(0.0, 0.25)),
-        "EyeRight": LidContact(
+    contacts = {
+        "EyeLeft": Contact(depth_mm=0.125, sources_mm=(0.0, 0.25)),
+        "EyeRight": Contact(
             depth_mm=0.0,
             sources_mm=(0.5, 1.0),
             worst_shape="eyeBlinkRight",
@@ -83,12 +83,12 @@ def test_the_summary_counts_parts_shapes_and_lids(folder: Path, capsys: Capsys) 
         ),
     }
     names = tuple(f"shape{number}" for number in range(34))
-    long = dataclasses.replace(report, lids=lids, skipped=names[:2], transferred=names, kept_parts=3)
+    long = dataclasses.replace(report, contacts=contacts, skipped=names[:2], transferred=names, kept_parts=3)
     full = long.as_text(Path("c.usda"))
     assert full.splitlines()[-6:] == [
         "loose parts: 1; parts that keep their shape: 3",
-        "EyeLeft: lids cut in by 0.12 mm (sources 0.00, 0.25)",
-        "EyeRight: lids cut in by 0.00 mm (sources 0.50, 1.00); "
+        "EyeLeft: skin lies in it by 0.12 mm (sources 0.00, 0.25)",
+        "EyeRight: skin lies in it by 0.00 mm (sources 0.50, 1.00); "
         "at worst 2.00 mm (sources 1.50, 1.75) with eyeBlinkRight",
         "shapes transferred: 34 (shape0, shape1, shape2, shape3, ...)",
         "shapes left out, as some source lacks them: 2 (shape0, shape1)",

@@ -44,7 +44,7 @@ def few(kind: str, count: int, expressions: str = "static") -> BlendSession:
     """Misaligned heads with a few shapes, which differ."""
     parts = [only_shapes(head(kind, number), *SHAPES) for number in range(count)]
     others = [misaligned(livelier(one, 1.0 + 0.3 * k), seed=k) for k, one in enumerate(parts[1:], 1)]
-    options = BlendOptions(expressions=expressions, align="none")  # type: ignore[arg-type]
+    options = BlendOptions(expressions=expressions, align="none", contacts=False)  # type: ignore[arg-type]
     return BlendSession([Face.from_parts(one) for one in (parts[0], *others)], options)
 
 
@@ -81,7 +81,7 @@ def test_translating_and_re_anchoring_sources_leaves_offsets_alone(kind: str, ex
     parts[1] = livelier(parts[1])
     there = np.eye(4)
     there[:3, 3] = (-90.0, 8.5, 1.25)
-    options = BlendOptions(expressions=expressions, align="none")  # type: ignore[arg-type]
+    options = BlendOptions(expressions=expressions, align="none", contacts=False)  # type: ignore[arg-type]
     face = Face.from_parts(parts[0])
     static = {f"Head:{point}" for point in still_border(parts[0])}
     blends = [BlendSession([face, Face.from_parts(moved(parts[1], there))], options)]
@@ -158,7 +158,7 @@ def test_static_points_are_the_blended_neutral_to_the_bit(kind: str, expressions
 
 def test_points_that_move_less_than_the_threshold_are_static() -> None:
     parts = [only_shapes(head("sample", number), "jawForward") for number in range(2)]
-    blend = BlendSession([Face.from_parts(part) for part in parts], BlendOptions(static_mm=0.5))
+    blend = BlendSession([Face.from_parts(part) for part in parts], BlendOptions(static_mm=0.5, contacts=False))
     (sculpt,) = blend.sculpts
     full = np.zeros((2, blend.sources.points.shape[1], 3))
     for one, own in zip(full, parts, strict=True):
@@ -214,7 +214,7 @@ def with_inbetween(parts: FaceParts, name: str, weight: float, factor: float) ->
 def test_inbetweens_are_blended_by_weight() -> None:
     """A source without one gives the point that its shape passes there: on the line, or between its own inbetweens."""
     sources = [with_inbetween(tiny_face(0), "half", 0.5, 0.2), with_inbetween(tiny_face(1), "late", 0.75, 0.9)]
-    blend = BlendSession([Face.from_parts(source) for source in sources], BlendOptions(keep_shape=""))
+    blend = BlendSession([Face.from_parts(source) for source in sources], BlendOptions(keep_shape="", contacts=False))
     shares = np.array([0.4, 0.6])
     solution = blend.solve(Weights(default=(0.4, 0.6)))
     whole = {one.shape: one.offsets for one in solution.sculpts if one.inbetween is None}

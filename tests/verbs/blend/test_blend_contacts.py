@@ -1,4 +1,4 @@
-"""How deep lids cut into eyeballs: against balls that are known, eyeballs that move, and two of them in one mesh."""
+"""Skin in eyeballs: how deep it is found, against balls that are known, and that a blend holds it out of them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from blend_faces import by_region, head, misaligned, only_shapes, rolling_eyes
 from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.balls import fit_ball
+from facepipe.geometry.polygons import triangle_normals
+from facepipe.heads.assembly import make_head
+from facepipe.heads.people import draw
 from facepipe.parts import FaceParts, Mesh
 from facepipe.stage import Face
-from facepipe.verbs.blend import BlendOptions, BlendSession
-from facepipe.verbs.blend.quality import LidContact, lid_contacts
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.contacts import Motion
+from facepipe.verbs.blend.quality import Contact, contacts
 from facepipe.verbs.blend.session import Solution
 
 LOOK, BLINK = "eyeLookInLeft", "eyeBlinkLeft"
@@ -25,12 +29,28 @@ TOLERANCE = 1e-3  # mm; the eyeballs are balls to float32
 def solved() -> tuple[BlendSession, Solution]:
     """Two samples, with a shape that moves an eyeball and one that moves its lids."""
     parts = [only_shapes(rolling_eyes(head("sample", number)), LOOK, BLINK) for number in range(2)]
-    blend = BlendSession([Face.from_parts(parts[0]), Face.from_parts(misaligned(parts[1]))])
+    faces = [Face.from_parts(parts[0]), Face.from_parts(misaligned(parts[1]))]
+    blend = BlendSession(faces, BlendOptions(contacts=False))
     return blend, blend.solve(by_region("features"))
 
 
-def contact(solution: Solution) -> LidContact:
-    return lid_contacts(solved()[0], solution)["EyeballLeft"]
+def seen(blend: BlendSession, solution: Solution) -> dict[str, Contact]:
+    """The contacts of a solution as it is."""
+    rest, every = solution.neutral.points.copy(), np.ones(len(solution.neutral.points), bool)
+    stand, held = blend.contacts.stand(rest), []
+    at_rest = blend.contacts.hold(stand, rest, every, push=False)
+    for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
+        points, moving = rest.copy(), ~every
+        points[sculpt.points] += offsets
+        moving[sculpt.points] = True
+        motion = Motion(sculpt.name, sculpt.points, sculpt.offsets)
+        held.append(blend.contacts.hold(stand, points, moving, motion, push=False))
+    return contacts(blend, replace(solution, neutral=replace(solution.neutral, held=at_rest), held=tuple(held)))
+
+
+def contact(solution: Solution) -> Contact:
+    """That of the left eyeball; nothing where skin lies nowhere in it."""
+    return seen(solved()[0], solution).get("EyeballLeft", Contact(sources_mm=(0.0, 0.0)))
 
 
 def eye() -> np.ndarray:
@@ -151,12 +171,87 @@ def test_two_eyeballs_in_one_mesh_are_two_balls() -> None:
         return replace(parts, meshes=tuple(map(larger, parts.meshes)))
 
     faces = [swollen(only_shapes(rolling_eyes(head("sample", number)))) for number in range(2)]
-    contacts = []
+    found = []
     for change in (lambda parts: parts, one_mesh):
-        blend = BlendSession([Face.from_parts(change(parts)) for parts in faces], BlendOptions(keep_shape="Eye*"))
-        contacts.append(lid_contacts(blend, blend.solve(by_region("features"))))
-    apart, together = contacts
-    assert list(together) == ["Eyeballs 1", "Eyeballs 2"]
-    assert apart["EyeballLeft"].depth_mm > 0.2 > apart["EyeballRight"].depth_mm
-    for one, other in zip((apart["EyeballLeft"], apart["EyeballRight"]), together.values(), strict=True):
+        blend = BlendSession(
+            [Face.from_parts(change(parts)) for parts in faces], BlendOptions(keep_shape="Eye*", contacts=False)
+        )
+        found.append(seen(blend, blend.solve(by_region("features"))))
+    apart, together = (
+        [faces.get(name, Contact(sources_mm=(0.0, 0.0))) for name in names]
+        for faces, names in zip(found, (("EyeballLeft", "EyeballRight"), ("Eyeballs 1", "Eyeballs 2")), strict=True)
+    )
+    assert apart[0].depth_mm > 0.2 > apart[1].depth_mm
+    for one, other in zip(apart, together, strict=True):
         assert (other.depth_mm, *other.sources_mm) == pytest.approx((one.depth_mm, *one.sources_mm), abs=0.01)
+
+
+def bare(parts: FaceParts) -> FaceParts:
+    """Without materials."""
+    return replace(parts, meshes=tuple(replace(mesh, material=None, material_faces=()) for mesh in parts.meshes))
+
+
+@functools.cache
+def held(hold: bool) -> tuple[BlendSession, Solution]:
+    """Two people of the head in the box: the eyes of one in the face of the other, at rest and in two shapes."""
+    parts = [only_shapes(bare(make_head(draw(seed).identity)), "eyeLookInLeft", BLINK) for seed in (20, 16)]
+    blend = BlendSession([Face.from_parts(part) for part in parts], BlendOptions(contacts=hold))
+    first = {"cheek": 0.0, "chin": 0.0, "ears": 0.9, "eyebrows": 0.6, "eyes": 0.54, "forehead": 0.0, "mouth": 0.0}
+    regions = {**first, "neck": 1.0, "nose": 0.0}
+    weights = Weights(regions={name: (1.0 - one, one) for name, one in regions.items()}, default=(0.8, 0.2))
+    return blend, blend.solve(weights)
+
+
+def depths(blend: BlendSession, points: np.ndarray, eyeball: str) -> np.ndarray:
+    """(m,) mm of every point of the face inside the ball through an eyeball's outer shell, the cornea left out."""
+    number = [mesh.name for mesh in blend.sources.base.meshes].index(eyeball)
+    part = np.arange(*blend.sources.mesh_offsets[number : number + 2])
+    ball = fit_ball(points[part][np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1).argsort()[-600:]])
+    face = points[blend.graph.main]
+    return np.asarray(ball.radius - np.linalg.norm(face - ball.centre, axis=1)) * blend.sources.mm_per_unit
+
+
+def test_a_blend_has_lids_no_deeper_in_eyeballs_than_its_sources() -> None:
+    """Point by point, by the distance to the balls: no code of the blend's."""
+    beyond = {}
+    for hold in (False, True):
+        blend, solution = held(hold)
+        over = []
+        for eyeball in ("EyeballLeft", "EyeballRight"):
+            own = depths(blend, solution.neutral.points, eyeball)
+            theirs = np.max([depths(blend, points, eyeball) for points in blend.sources.points], axis=0)
+            over.append(float((own - np.maximum(theirs, 0.0)).max()))
+        beyond[hold] = max(over)
+    assert beyond[False] > 0.12
+    assert beyond[True] < 0.06  # a ball is no eyeball to 0.04 mm
+
+
+def test_what_is_held_out_changes_nothing_far_from_it_and_moves_no_static_point() -> None:
+    (_, free), (blend, solution) = held(False), held(True)
+    moved = np.linalg.norm(solution.neutral.points - free.neutral.points, axis=1) * blend.sources.mm_per_unit
+    assert 0.1 < moved.max() < 3.0
+    names = [mesh.name for mesh in blend.sources.base.meshes]
+    balls = [np.arange(*blend.sources.mesh_offsets[k : k + 2]) for k, name in enumerate(names) if "Eyeball" in name]
+    teeth = np.arange(*blend.sources.mesh_offsets[names.index("Teeth") : names.index("Teeth") + 2])
+    near = np.concatenate([*balls, teeth])
+    far = np.linalg.norm(solution.neutral.points[:, None] - solution.neutral.points[near[::40]], axis=2).min(axis=1)
+    assert not moved[far * blend.sources.mm_per_unit > 40.0].any()
+    assert not moved[np.concatenate(balls)].any()
+    for own, other, sculpt in zip(solution.offsets, free.offsets, solution.sculpts, strict=True):
+        assert own.shape == other.shape == (len(sculpt.points), 3)
+
+
+def test_a_blend_turns_no_triangle_over_that_no_source_turns() -> None:
+    """Counted anew, from the normals of all triangles in the sources and the blend, in each shape."""
+    blend, solution = held(True)
+    stands = [(np.zeros(0, np.int64), np.zeros((3, 0, 3)))]
+    stands += [
+        (sculpt.points, np.concatenate([sculpt.offsets, own[None]]))
+        for sculpt, own in zip(solution.sculpts, solution.offsets, strict=True)
+    ]
+    for points, offsets in stands:
+        poses = np.stack([*blend.sources.points, solution.neutral.points])
+        poses[:, points] += offsets
+        *theirs, own = (triangle_normals(pose, blend.graph.triangles) for pose in poses)
+        away = np.all([np.einsum("ti,ti->t", own, normals) < 0 for normals in theirs], axis=0)
+        assert not away.any()

@@ -1,0 +1,151 @@
+"""How deep skin lies in eyeballs, teeth and gums after random blends of drawn people, against their sources.
+
+Two people of the head in the box each, a share of 0, of 1 or between for every region, at rest and in ARKit's 52
+shapes. By teeth and gums the skin that counts is what rays meet with pressed lips, by eyeballs all around them. Its
+depth is the exact distance to the nearest place of the part, inside by the normal there: code that the blend's own
+measure has no part in.
+
+example: python benchmarks/blend_contacts.py --blends 30 --json out.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import support_modules  # noqa: F401  (finds the modules of tests/support)
+from arguments import positive
+from contacts import PRESSED
+
+import facepipe
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.closest_points import SurfaceSearch, place_shares
+from facepipe.geometry.contacts import Sheet
+from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.geometry.vectors import unit_vectors
+from facepipe.rig.conventions import ARKIT_SHAPES
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.session import Solution
+
+PEOPLE = 40
+REGIONS = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "neck", "nose")
+BOUNDS = {"EyeballLeft": 0.1, "EyeballRight": 0.1, "Teeth": 0.3, "GumsAndTongue": 0.3}  # mm over the deeper source
+MOUTH = ("Teeth", "GumsAndTongue")
+_NEAR_MM = 3.0  # of a part: skin farther inside is behind it
+
+Pose = tuple[str, list[FloatArray]]  # name, and points (n, 3) mm of the sources and, last, of the blend
+Figures = dict[str, dict[str, object]]
+
+
+def main() -> int:
+    """Blend, measure, print; 1 where a part is deeper than its bound or a triangle turns over."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--blends", type=positive, default=30, help="pairs of people (default 30)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first pair (default 0)")
+    parser.add_argument("--no-contacts", action="store_true", help="blend as before skin was held out")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
+    given = parser.parse_args()
+    found, worst = [], dict.fromkeys(BOUNDS, -np.inf)
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(given.first, given.first + given.blends):
+            one = measure(number, Path(folder), BlendOptions(contacts=not given.no_contacts))
+            found.append(one)
+            worst = {name: max(deepest, one["parts"][name]["over_mm"]) for name, deepest in worst.items()}
+            parts = ", ".join(f"{name} {row['over_mm']:.2f} ({row['shape']})" for name, row in one["parts"].items())
+            print(f"{number}: seeds {one['seeds']}: {parts}; turned {one['turned']}", flush=True)
+    print("most over the deeper source, mm: " + ", ".join(f"{name} {mm:.3f}" for name, mm in worst.items()))
+    turned = sum(one["turned"] for one in found)
+    print(f"triangles turned over: {turned}; seconds to solve: {np.mean([one['seconds'] for one in found]):.1f}")
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    return int(turned > 0 or any(worst[name] > bound for name, bound in BOUNDS.items()))
+
+
+def measure(number: int, folder: Path, options: BlendOptions) -> dict:
+    """One blend: by part how much deeper skin lies than in the deeper source, and where most."""
+    random = np.random.Generator(np.random.PCG64(number))
+    seeds = [int(seed) for seed in random.choice(np.arange(1, PEOPLE + 1), 2, replace=False)]
+    shares = {name: float(random.choice([0.0, 1.0, random.uniform()])) for name in (*REGIONS, "default")}
+    weights = Weights(
+        regions={name: (1.0 - shares[name], shares[name]) for name in REGIONS},
+        default=(1.0 - shares["default"], shares["default"]),
+    )
+    paths = [folder / f"{seed}.usdc" for seed in seeds]
+    for seed, path in zip(seeds, paths, strict=True):
+        if not path.exists():
+            facepipe.sample(path, seed=seed)
+    session = BlendSession([facepipe.open(path) for path in paths], options, live=False)
+    start = time.process_time()
+    solution = session.solve(weights)
+    seconds = time.process_time() - start
+    return {
+        "seeds": seeds,
+        "shares": shares,
+        "seconds": seconds,
+        "turned": solution.neutral.held.turned + sum(held.turned for held in solution.held),
+        "parts": deepest(session, solution),
+    }
+
+
+def deepest(session: BlendSession, solution: Solution) -> Figures:
+    """By part: how much deeper skin lies in it than in the deeper source, in the worst shape."""
+    sources, mm = session.sources, session.sources.mm_per_unit
+    triangles = {
+        mesh.name: point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).astype(np.int64) + int(start)
+        for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True)
+    }
+    found: Figures = {}
+    for name in BOUNDS:
+        hard, skin = np.unique(triangles[name]), np.unique(triangles["Head"])
+        if name in MOUTH:
+            closed = sources.points[0] * mm
+            for sculpt in session.sculpts:
+                if sculpt.name in PRESSED:
+                    closed[sculpt.points] += sculpt.offsets[0] * mm
+            skin = np.unique(Sheet.of(triangles["Head"], triangles[name], [closed]).outer)
+        else:
+            middle, reach = sources.points[0, hard].mean(axis=0), np.ptp(sources.points[0, hard], axis=0).max()
+            skin = skin[np.linalg.norm(sources.points[0, skin] - middle, axis=1) < reach]
+        for shape, faces in _poses(solution, sources.points, mm, np.union1d(skin, hard)):
+            depths = [_deepest(points, skin, hard, triangles[name]) for points in faces]
+            over = depths[-1] - max(depths[:-1])
+            if name not in found or over > found[name]["over_mm"]:
+                found[name] = {"over_mm": over, "shape": shape, "depths_mm": depths}
+    return found
+
+
+def _poses(solution: Solution, sources: FloatArray, mm: float, watched: IntArray) -> Iterator[Pose]:
+    """At rest, and every shape that moves what is watched."""
+    rest = [*sources, solution.neutral.points]
+    yield "rest", [points * mm for points in rest]
+    for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
+        if sculpt.shape in ARKIT_SHAPES and np.isin(sculpt.points, watched).any():
+            posed = [points.copy() for points in rest]
+            for points, moved in zip(posed, (*sculpt.offsets, offsets), strict=True):
+                points[sculpt.points] += moved
+            yield sculpt.name, [points * mm for points in posed]
+
+
+def _deepest(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntArray) -> float:
+    """mm that the deepest of the points `skin` lies inside the triangles (h, 3), whose points are `hard`."""
+    surface, local = points[hard], np.searchsorted(hard, triangles)
+    low, high = surface.min(axis=0) - _NEAR_MM, surface.max(axis=0) + _NEAR_MM
+    asked = points[skin]
+    asked = asked[((asked > low) & (asked < high)).all(axis=1)]
+    if not len(asked):
+        return 0.0
+    nearest = SurfaceSearch(surface, local).closest(asked)
+    shares = place_shares(nearest, surface, local)
+    normals = unit_vectors(np.einsum("mk,mkc->mc", shares, point_normals(surface, local)[local[nearest.triangles]]))
+    inside = np.einsum("mi,mi->m", asked - nearest.places, normals) < 0
+    return float(nearest.distances[inside & (nearest.distances < _NEAR_MM)].max(initial=0.0))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
