@@ -22,6 +22,7 @@ import numpy as np
 import support_modules  # noqa: F401  (finds the modules of tests/support)
 from arguments import positive
 from contacts import PRESSED
+from scipy.spatial import cKDTree
 
 import facepipe
 from facepipe.core.arrays import FloatArray, IntArray
@@ -38,6 +39,8 @@ REGIONS = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "ne
 BOUNDS = {"EyeballLeft": 0.1, "EyeballRight": 0.1, "Teeth": 0.3, "GumsAndTongue": 0.3}  # mm over the deeper source
 MOUTH = ("Teeth", "GumsAndTongue")
 _NEAR_MM = 3.0  # of a part: skin farther inside is behind it
+
+_OUTSIDE_MM = 0.7
 
 Pose = tuple[str, list[FloatArray]]  # name, and points (n, 3) mm of the sources and, last, of the blend
 Figures = dict[str, dict[str, object]]
@@ -135,14 +138,16 @@ def _poses(solution: Solution, sources: FloatArray, mm: float, watched: IntArray
 def _deepest(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntArray) -> float:
     """mm that the deepest of the points `skin` lies inside the triangles (h, 3), whose points are `hard`."""
     surface, local = points[hard], np.searchsorted(hard, triangles)
-    low, high = surface.min(axis=0) - _NEAR_MM, surface.max(axis=0) + _NEAR_MM
-    asked = points[skin]
-    asked = asked[((asked > low) & (asked < high)).all(axis=1)]
+    own, asked = point_normals(surface, local), points[skin]
+    # what is far from the part, or clearly outside of the plane at its nearest point, is left out: it takes long
+    far, near = cKDTree(surface).query(asked, distance_upper_bound=2.0 * _NEAR_MM)
+    asked, near = asked[np.isfinite(far)], near[np.isfinite(far)]
+    asked = asked[np.einsum("mi,mi->m", asked - surface[near], own[near]) < _OUTSIDE_MM]
     if not len(asked):
         return 0.0
     nearest = SurfaceSearch(surface, local).closest(asked)
     shares = place_shares(nearest, surface, local)
-    normals = unit_vectors(np.einsum("mk,mkc->mc", shares, point_normals(surface, local)[local[nearest.triangles]]))
+    normals = unit_vectors(np.einsum("mk,mkc->mc", shares, own[local[nearest.triangles]]))
     inside = np.einsum("mi,mi->m", asked - nearest.places, normals) < 0
     return float(nearest.distances[inside & (nearest.distances < _NEAR_MM)].max(initial=0.0))
 
