@@ -23,7 +23,7 @@ from facepipe.verbs.blend.options import BlendOptions
 from facepipe.verbs.blend.quality import BlendReport, measure
 from facepipe.verbs.blend.rigs import blend_skeletons, blend_skins, rebase_animations
 from facepipe.verbs.blend.session import BlendSession, Solution
-from facepipe.verbs.blend.sources import Sources
+from facepipe.verbs.blend.sources import UNALIGNED, Sources
 from facepipe.verbs.blend.weights import Weights
 
 _DEGENERATE = 1e-6  # a sum of unit vectors shorter than this has no direction
@@ -96,7 +96,11 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
             )
         )
     skeleton = blend_skeletons(
-        [parts.skeleton for parts in sources.parts], session.joint_worlds, neutral.joints, neutral.joint_shares
+        [parts.skeleton for parts in sources.parts],
+        session.joint_worlds,
+        neutral.joints,
+        neutral.joint_shares,
+        aligned=sources.aligned != UNALIGNED,
     )
     gone, network = set(session.skipped), base.slider_network
     animations = []

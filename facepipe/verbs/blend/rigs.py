@@ -18,7 +18,12 @@ _SINGULAR = 1e-9  # of the product of the column lengths
 
 
 def blend_skeletons(
-    skeletons: Sequence[Skeleton], bind_worlds: FloatArray, positions: FloatArray, weights: FloatArray
+    skeletons: Sequence[Skeleton],
+    bind_worlds: FloatArray,
+    positions: FloatArray,
+    weights: FloatArray,
+    *,
+    aligned: bool = False,
 ) -> Skeleton:
     """The base's skeleton with blended bind and rest transforms.
 
@@ -27,6 +32,10 @@ def blend_skeletons(
     from bind to rest, relative to its parent, is blended in the same way and applied to the new bind transforms; so
     the rest is the new bind pose where it was in every source, and sources that agree are given back. For roots it
     is taken relative to the space that they stand in: the place of the body joint that a face hangs under is kept.
+
+    Axes of joints are as long as in each source's own file. Sources that were `aligned` have the base's size and place:
+    there a source's axes are as long as the base's (the median over joints, which leaves what single joints are scaled
+    by), and what takes its first root from bind to rest, which places the whole face, is what does so in the base.
 
     :param skeletons: of K sources, the base first
     :param bind_worlds: (K, j, 4, 4) their bind transforms in the base's joint order and bind space
@@ -54,15 +63,21 @@ def blend_skeletons(
                 worlds[joint] = worlds[parent] @ worlds[joint]
         own[:] = worlds[at]
     moved = _float64(bind_worlds) @ _inverse(binds, base)  # (K, j, 4, 4) a source's space -> the base's bind space
-    # a change of unit is one of places: a joint's axes stay as long as in its own file
-    units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
+    if aligned:
+        # not by `moved`: a face that is larger by its points has axes of length 1, one that is so by its root joint not
+        sizes = np.cbrt(np.abs(np.linalg.det(_float64(bind_worlds)[..., :3, :3])))
+        units = np.median(sizes / sizes[0], axis=1)[:, None, None]
+    else:
+        # a change of unit is one of places
+        units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
     linear = blend_linear(_float64(bind_worlds)[..., :3, :3] / units[..., None], weights)
     bind = _transforms(linear, positions)
     # (K, j, 4, 4) what takes each joint from bind to rest in its own axes, both relative to the joint's parent
     relative = np.stack([_inverse(_local(a, base), base) @ _local(b, base) for a, b in zip(binds, rests, strict=True)])
     relative[..., :3, 3] *= units
     roots = base.parents < 0
-    relative[:, roots] = (moved @ rests @ _inverse(binds, base) @ _inverse(moved, base))[:, roots]
+    changes = (moved @ rests @ _inverse(binds, base) @ _inverse(moved, base))[:, roots]
+    relative[:, roots] = changes[:1, :1] @ np.linalg.inv(changes[:, :1]) @ changes if aligned else changes
     translation = np.einsum("jk,kjc->jc", weights, relative[..., :3, 3])
     change = _transforms(blend_linear(relative[..., :3, :3], weights), translation)
     local = _local(bind, base)
