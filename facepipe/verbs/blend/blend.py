@@ -99,7 +99,7 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
     def author(self, face: Face, job: Job) -> BlendReport:
         from facepipe.importers import read_face
         from facepipe.parts import all_regions
-        from facepipe.verbs.blend.quality import match
+        from facepipe.verbs.blend.matching import match
         from facepipe.verbs.blend.result import Blend
         from facepipe.verbs.blend.session import BlendSession
         from facepipe.verbs.blend.weights import Weights
