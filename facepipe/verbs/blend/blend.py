@@ -7,6 +7,8 @@ regions` lists them); regions without weights take --default, or all sources ali
 flags say, which win: {"regions": {"eyes": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 1], "locked": {"mouth": 2}},
 or flat {"eyes": [0.8, 0.2], "default": [0.5, 0.5]}.
 
+Weights below 0 and above 1 (to -1 and 2, once they sum to 1) exaggerate what faces differ by: --set nose=-0.5,1.5.
+
 The recipe stays on the result. --edit blends again from it with what the line changes: weights, locks, sources, and the
 options below. --match finds the weights whose blend comes nearest to a target sculpt of the same topology.
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import TopologyError
@@ -92,8 +93,11 @@ def blend_linear(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     The rotation is the weighted chordal mean, the largest eigenvector of ``sum_k a_k q_k q_k^T``, which knows no signs
     of quaternions (Markley et al., Averaging Quaternions, 2007); where two are as good, that of the source with the
     largest share. The stretch ``R_k^T A_k`` of a source is its scale, and its shear where there is some.
+
+    With shares below 0 that eigenvector may be any, and a mean of scales may be 0 or mirror. There ``R_0 exp(sum_k a_k
+    log(R_0^T R_k))`` goes on along the turn from the base to the others, and scales go on as powers.
     """
-    rotations = decompose(_affine(matrices)).rotation
+    _, rotations, scales, _ = decompose(_affine(matrices))
     outer = np.einsum("jk,kja,kjb->jab", weights, rotations, rotations)
     values, vectors = np.linalg.eigh(outer)
     mean = vectors[..., -1]
@@ -101,7 +105,18 @@ def blend_linear(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     heaviest = rotations[np.argmax(weights, axis=1), np.arange(len(weights))]
     mean = np.where(tied[:, None], heaviest, mean)
     stretches = np.swapaxes(rotation_matrices(rotations), -1, -2) @ matrices
-    return np.asarray(rotation_matrices(mean) @ np.einsum("jk,kjab->jab", weights, stretches))
+    blended = rotation_matrices(mean) @ np.einsum("jk,kjab->jab", weights, stretches)
+    beyond = np.flatnonzero((weights < 0).any(axis=1))
+    if len(beyond):
+        shares, turns = weights[beyond], rotation_matrices(rotations[:, beyond])
+        others = np.swapaxes(turns[0], -1, -2) @ turns
+        steps = Rotation.from_matrix(others.reshape(-1, 3, 3)).as_rotvec().reshape(*others.shape[:-1])
+        turned = turns[0] @ Rotation.from_rotvec(np.einsum("jk,kja->ja", shares, steps)).as_matrix()
+        sizes = scales[:, beyond]
+        size = np.sign(sizes[0]) * np.exp(np.einsum("jk,kja->ja", shares, np.log(np.abs(sizes))))
+        sheared = np.einsum("jk,kjab->jab", shares, stretches[:, beyond] / sizes[:, :, None, :])
+        blended[beyond] = turned @ (sheared * size[:, None, :])
+    return np.asarray(blended)
 
 
 def _local(worlds: FloatArray, base: Skeleton) -> FloatArray:
@@ -176,9 +191,11 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     joints = np.concatenate([numbers for numbers, _ in merged], axis=1)
     parts = [weights[:, k : k + 1] * part for (k, _), (_, part) in zip(given, merged, strict=True)]
     shares = np.concatenate(parts, axis=1)
-    indices, blended = _sorted(*_merged(joints, shares), width)
+    joints, shares = _merged(joints, shares)
+    indices, blended = _sorted(joints, np.maximum(shares, 0.0), width)  # below 0 where shares of sources are
     total = blended.sum(axis=1, keepdims=True)
     blended = blended / np.where(total > 0, total, 1.0)
+    agreed |= total[:, 0] <= 0  # no source that has influences there has a share above 0: as in the base
     # sum_k a_k w equals w only up to rounding: put back, the weights that all agree on keep every digit
     indices[agreed], blended[agreed] = (one[agreed] for one in first)
     return replace(base, joint_indices=indices, joint_weights=blended)
