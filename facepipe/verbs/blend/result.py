@@ -91,7 +91,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
                 mesh,
                 points=points,
                 normals=_normals(sources, shares, number, points),
-                skin=blend_skins([one.skin for one in sculpted], shares, sources.joint_maps),
+                skin=blend_skins([one.skin for one in sculpted], shares),
                 blendshapes=_blendshapes(sculpted, points, solution, span, back[:3, :3]),
             )
         )

@@ -12,7 +12,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import Animation, Skeleton, Skin
 from facepipe.rig.animation import local_transforms
-from facepipe.rig.trs import decompose, rotation_matrices
+from facepipe.rig.trs import decompose, rest_worlds, rotation_matrices
 
 _GAP = 1e-9  # eigenvalues closer than this (of weights that sum to 1): no rotation is nearest to all sources
 _SINGULAR = 1e-9  # of the product of the column lengths
@@ -38,31 +38,17 @@ def blend_skeletons(
     there a source's axes are as long as the base's (the median over joints, which leaves what single joints are scaled
     by), and what takes its first root from bind to rest, which places the whole face, is what does so in the base.
 
-    :param skeletons: of K sources, the base first
-    :param bind_worlds: (K, j, 4, 4) their bind transforms in the base's joint order and bind space
+    :param skeletons: of K sources with the same joints, the base first
+    :param bind_worlds: (K, j, 4, 4) their bind transforms in the base's bind space
     :param positions: (j, 3) new places of the joints in the base's bind space
     :param weights: (j, K) shares, each row summing to 1
-    :raises TopologyError: a source that lacks a joint of the base, or a singular transform
+    :raises TopologyError: a singular transform
     """
     base = skeletons[0]
     if not base.joints:
         return base
-    places = []
-    for number, skeleton in enumerate(skeletons, 1):
-        numbers = {joint: i for i, joint in enumerate(skeleton.joints)}
-        missing = next((joint for joint in base.joints if joint not in numbers), None)
-        if missing is not None:
-            what = f"no joint '{missing}', expected it as in the first"
-            raise TopologyError(f"source {number} -> {skeleton.name}", what)
-        places.append(np.array([numbers[joint] for joint in base.joints], dtype=np.int64))
-    binds = np.stack([_float64(one.bind_transforms)[at] for one, at in zip(skeletons, places, strict=True)])
-    rests = np.empty(binds.shape)
-    for own, skeleton, at in zip(rests, skeletons, places, strict=True):
-        worlds = _float64(skeleton.rest_transforms).copy()  # in skeleton space
-        for joint, parent in enumerate(skeleton.parents):
-            if parent >= 0:
-                worlds[joint] = worlds[parent] @ worlds[joint]
-        own[:] = worlds[at]
+    binds = np.stack([_float64(one.bind_transforms) for one in skeletons])
+    rests = np.stack([rest_worlds(one) for one in skeletons])  # in skeleton space
     moved = _float64(bind_worlds) @ _inverse(binds, base)  # (K, j, 4, 4) a source's space -> the base's bind space
     if aligned:
         # not by `moved`: a face that is larger by its points has axes of length 1, one that is so by its root joint not
@@ -157,7 +143,7 @@ def _float64(array: FloatArray) -> FloatArray:
     return np.asarray(array, dtype=np.float64)
 
 
-def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: Sequence[IntArray]) -> Skin | None:
+def blend_skins(skins: Sequence[Skin | None], weights: FloatArray) -> Skin | None:
     """The skin ``sum_k a_k W_k`` of every point, normalised: as many influences as the widest source, largest first.
 
     Where the blend has more influences than that, the smallest are left out. Points where all sources agree (in
@@ -166,18 +152,14 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
 
     :param skins: of K sources, the base first; None where the base has none
     :param weights: (n, K) shares, each row summing to 1
-    :param joint_maps: of every source, (j,) numbers of its joints in the base
     """
     base = skins[0]
     if base is None:
         return None
     given = [(k, skin) for k, skin in enumerate(skins) if skin is not None]
     merged = [
-        _merged(
-            joint_maps[k][skin.joint_indices],
-            np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64)),
-        )
-        for k, skin in given
+        _merged(skin.joint_indices, np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64)))
+        for _, skin in given
     ]
     width = max(skin.joint_indices.shape[1] for _, skin in given)
     # points where all sources have the same influences, in float32
@@ -191,8 +173,8 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     joints = np.concatenate([numbers for numbers, _ in merged], axis=1)
     parts = [weights[:, k : k + 1] * part for (k, _), (_, part) in zip(given, merged, strict=True)]
     shares = np.concatenate(parts, axis=1)
-    joints, shares = _merged(joints, shares)
-    indices, blended = _sorted(joints, np.maximum(shares, 0.0), width)  # below 0 where shares of sources are
+    used, sums = _merged(joints, shares)
+    indices, blended = _sorted(used, np.maximum(sums, 0.0), width)  # sums are below 0 where shares of sources are
     total = blended.sum(axis=1, keepdims=True)
     blended = blended / np.where(total > 0, total, 1.0)
     agreed |= total[:, 0] <= 0  # no source that has influences there has a share above 0: as in the base

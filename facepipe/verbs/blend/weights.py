@@ -25,6 +25,7 @@ _NO_REGIONS = "none: the first source has no regions"
 _MOST_BYTES = 1 << 20
 _LEAST, _MOST = -1.0, 2.0  # of a share: as far beyond one source again as it lies from the other
 _ROUNDING = 1e-9
+_HUGEST = sys.float_info.max
 _KEYS = ("regions", "default", "gains", "locked")
 Key = TypeVar("Key")
 Value = TypeVar("Value")
@@ -82,13 +83,15 @@ class Weights:
         return Shares(np.array(rows), tuple(notes))
 
 
-def _checked(name: str, values: Sequence[float] | FloatArray, sources: int, least: float = -math.inf) -> FloatArray:
+def _checked(
+    name: str, values: Sequence[float] | FloatArray, sources: int, least: float = -sys.float_info.max
+) -> FloatArray:
     where = f"weights -> {name}"
     if not isinstance(values, list | tuple | np.ndarray) or len(values) != sources:
         given = f"{len(values)} weights" if isinstance(values, list | tuple | np.ndarray) else repr(values)[:40]
         raise InputError(where, f"{given}, expected {sources}, one per source")
     for number, value in enumerate(values, 1):
-        if not (isinstance(value, int | float | np.number) and least <= value and abs(value) <= sys.float_info.max):
+        if not (isinstance(value, int | float | np.number) and value >= least and value <= _HUGEST):
             expected = "a finite number" if least < 0 else "a number of 0 or more"
             raise InputError(f"{where} -> source {number}", f"weight {value!r}, expected {expected}")
     if not any(value > 0 for value in values):
