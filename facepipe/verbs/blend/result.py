@@ -23,6 +23,7 @@ from facepipe.verbs.blend.options import BlendOptions
 from facepipe.verbs.blend.quality import BlendReport, measure
 from facepipe.verbs.blend.rigs import blend_skeletons, blend_skins, rebase_animations
 from facepipe.verbs.blend.session import BlendSession, Solution
+from facepipe.verbs.blend.settings import with_settings
 from facepipe.verbs.blend.sources import UNALIGNED, Sources
 from facepipe.verbs.blend.weights import Weights
 
@@ -80,7 +81,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
     were skipped.
     """
     sources, neutral = session.sources, solution.neutral
-    base = sources.base
+    base = with_settings(sources, solution)
     meshes = []
     for number, (mesh, space) in enumerate(zip(base.meshes, mesh_spaces(base), strict=True)):
         sculpted = [parts.meshes[number] for parts in sources.parts]
