@@ -17,6 +17,7 @@ examples:
   facepipe blend --edit c.usda --set eyes=0.6,0.4 --lock mouth=2 --force
   facepipe blend --edit c.usda --replace 2=other.usda -o d.usda
   facepipe blend --match c.usda a.usda b.usda -o e.usda
+  facepipe blend a.usda b.usda -o f.usda --default 0.8,0.2 --motion-of 2
 """
 
 from __future__ import annotations
