@@ -57,12 +57,18 @@ def _drive(slider: Slider) -> tuple[float, float, frozenset[str], frozenset[str]
 
 
 def _shares(slider: Slider, sources: Sources, solution: Solution) -> FloatArray:
-    """(K,) shares of what it moves: the mean over points of its shapes, else over its joints, else the default's."""
-    neutral, shapes = solution.neutral, {shape for shape, _ in slider.shapes}
-    moved = [sculpt.points for sculpt in solution.sculpts if sculpt.shape in shapes]
-    points = np.unique(np.concatenate(moved)) if moved else np.zeros(0, np.int64)
-    if len(points):
-        return np.asarray(neutral.shares[points].mean(axis=0))
+    """(K,) shares of what it moves: the mean over points of its shapes, else over its joints, else the default's.
+
+    Points count by the square of how far they move: of noseWidth of the built-in head, which moves all teeth a little,
+    the nose then has 56 %, by the distances 29 %.
+    """
+    neutral, gains = solution.neutral, dict(slider.shapes)
+    moved = np.zeros(len(neutral.points))
+    for sculpt in solution.sculpts:
+        if sculpt.inbetween is None and sculpt.shape in gains:
+            moved[sculpt.points] += gains[sculpt.shape] ** 2 * (sculpt.offsets**2).sum(axis=2).mean(axis=0)
+    if moved.any():
+        return np.asarray(moved @ neutral.shares / moved.sum())
     joints = sources.base.skeleton.joints
     rows = [joints.index(joint) for joint in dict.fromkeys(joint for joint, _, _ in slider.channels) if joint in joints]
     return np.asarray(neutral.joint_shares[rows].mean(axis=0) if rows else neutral.table[-1])
