@@ -202,6 +202,7 @@ def blend(
     edges: Literal["uniform", "cotangent"] = "uniform",
     expressions: Literal["static", "document"] = "static",
     missing: Literal["error", "transfer", "skip"] = "error",
+    motion_of: int | None = None,
     static_mm: float = 0.001,
     region_width_mm: float = 0.0,
     keep_shape: str = "auto",
@@ -219,6 +220,7 @@ def blend(
     :param edges: weights of the edges in the solve: all the same, or cotangents of the mean shape
     :param expressions: points that move in no source: held in the bi-Laplacian solve of each shape, or (document) put back after a free solve
     :param missing: shapes that some sources lack: an error, deformation transfer from those that have it, or skipped
+    :param motion_of: source N, from 1, that all shapes come from, whatever the weights
     :param static_mm: a point that moves no further in any source is static [mm]
     :param region_width_mm: width of the harmonic transition put between regions; 0 takes their masks as they are [mm]
     :param keep_shape: meshes whose loose parts keep their shape up to rotation and scale: patterns, comma between; auto: those named like eyeballs and teeth

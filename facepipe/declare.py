@@ -51,7 +51,7 @@ def option(
     kept: bool = True,
     words: bool | int = False,
     alone: str | None = None,
-    before: Any = None,
+    before: Any = ...,
 ) -> T:
     """A field of an option dataclass.
 
@@ -64,7 +64,7 @@ def option(
     :param value: how JSON holds it, where it is no plain value
     :param kept: in recipes, and so with ``--edit``
     :param alone: its value where the flag is given without one
-    :param before: its value in recipes without it, made before there was such an option; None: its default
+    :param before: its value in recipes without it, made before there was such an option; ``...``: its default
     :param words: a flag of a tuple or mapping takes all words up to the next flag, or so many, which `metavar` names
     """
     numbers = {"low": low, "high": high, "unit": unit, "choices": choices}
@@ -151,7 +151,7 @@ class Field:
     kept: bool = True
     words: bool | int = False
     alone: str | None = None
-    before: Any = None
+    before: Any = ...
     role: Literal["option", "source", "beside"] = "option"
     split: Callable[[str], tuple[str | None, str]] | None = None
     suffix: str = ""

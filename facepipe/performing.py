@@ -207,7 +207,7 @@ def recipe_to(action: Action[Any], out: str | os.PathLike[str], **found: Any) ->
     for field in fields_of(type(action)):
         value = getattr(action, field.name)
         # what a recipe without the option means is left out of it: one of before is made again to the same bytes
-        if field.kept and (field.before is None or value != field.before):
+        if field.kept and (field.before is ... or value != field.before):
             options[field.name] = _seen_from(folder, field, value) if field.role == "source" else field.dump(value)
     files = {relative_path(str(file), folder): file for file in files_of(action, kept=True)}
     return Recipe(
@@ -315,7 +315,7 @@ def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str)
         else:
             values[name] = tuple(words) if field.several else words[0]
     for name, field in fields.items():
-        if name not in values and field.before is not None:
+        if name not in values and field.before is not ...:
             values[name] = field.before
     missing = [field.name for field in fields.values() if field.needed and field.name not in values]
     if missing:

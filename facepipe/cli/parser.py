@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +23,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *, common: bool = True, **settings: Any) -> None:
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
+        # a word that begins as a number below 0 does is a value: -0.5,1.5 too
+        self._negative_number_matcher = re.compile(r"-\.?\d")
         self.intermixed = False  # whether words without a flag may stand between flags; else they stand in one run
         if common:
             group = self.add_argument_group("what is printed").add_mutually_exclusive_group()

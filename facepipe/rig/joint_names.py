@@ -33,6 +33,11 @@ def joint_called(skeleton: Skeleton, part: str) -> int | None:
     :param part: Head, LeftEye, RightEye, Hips or Jaw
     """
     names = [{joint.rpartition("/")[2], own} for joint, own in zip(skeleton.joints, skeleton.names, strict=True)]
-    found = [i for i, one in enumerate(names) if {shape_key(_PREFIX.sub("", name)) for name in one} & {*_NAMES[part]}]
+    found = [i for i, one in enumerate(names) if {joint_key(name) for name in one} & {*_NAMES[part]}]
     # nearest to the root: what hangs below a head or eye and is called as it helps to move it
     return min(found, key=lambda i: (skeleton.joints[i].count("/"), i), default=None)
+
+
+def joint_key(name: str) -> str:
+    """`name` as `shape_key` has it, without namespace and the prefixes of programs: ``mixamorig:Head`` is ``head``."""
+    return shape_key(_PREFIX.sub("", name.rpartition("|")[2]).rpartition(":")[2])

@@ -36,8 +36,8 @@ from facepipe.rig.rig import Rig, build, curves, inverse
 from facepipe.rig.sliders import (
     channel_entries,
     clamped_value,
-    network_outputs,
-    response,
+    network_resting_at,
+    resting_at,
     shape_entries,
     slide,
     with_entries,
@@ -352,8 +352,7 @@ def network_on(parts: FaceParts, change: _Changes) -> SliderNetwork | None:
     network = parts.slider_network
     if network is None:
         return None
-    values = {slider.name: clamped_value(slider) for slider in parts.sliders}
-    start = network_outputs(network, np.array([values[name] for name in network.sliders]))
+    network = network_resting_at(network, {slider.name: clamped_value(slider) for slider in parts.sliders})
     rows = [change.channels(joint, channel) for joint, channel in network.channels]
     channels = tuple(dict.fromkeys(key for row in rows for key in row))
     spread = np.zeros((len(channels) + len(network.shapes), len(rows) + len(network.shapes)))
@@ -361,12 +360,12 @@ def network_on(parts: FaceParts, change: _Changes) -> SliderNetwork | None:
         for key, factor in row.items():
             spread[channels.index(key), column] = factor
     spread[len(channels) :, len(rows) :] = np.eye(len(network.shapes))
-    # the last layer is straight: what channels become, and what the person has already, go into its numbers
+    # the last layer is straight: what channels become goes into its numbers
     return replace(
         network,
         channels=channels,
         weights=(*network.weights[:-1], spread @ network.weights[-1]),
-        biases=(*network.biases[:-1], spread @ (network.biases[-1] - start)),
+        biases=(*network.biases[:-1], spread @ network.biases[-1]),
     )
 
 
@@ -396,24 +395,9 @@ class _Changes:
         gains: dict[tuple[str, str, Curve | None], float] = defaultdict(float)
         for (joint, channel, gain), curve in channel_entries(slider):
             for (moved_joint, name), factor in self.channels(joint, channel).items():
-                gains[moved_joint, name, _shifted(curve, value, slider.default)] += gain * factor
-        return replace(
-            with_entries(
-                slider,
-                [((joint, channel, gain), curve) for (joint, channel, curve), gain in gains.items()],
-                [(entry, _shifted(curve, value, slider.default)) for entry, curve in shape_entries(slider)],
-            ),
-            default=value,
-            value=None,
-        )
-
-
-def _shifted(curve: Curve | None, value: float, default: float) -> Curve | None:
-    """The curve less what it is at `value`."""
-    if curve is None:
-        return None
-    start = response(curve, value, default)
-    return tuple((at, amount - start) for at, amount in curve)
+                gains[moved_joint, name, curve] += gain * factor
+        entries = [((joint, channel, gain), curve) for (joint, channel, curve), gain in gains.items()]
+        return resting_at(with_entries(slider, entries, list(shape_entries(slider))), value)
 
 
 @dataclass(frozen=True, kw_only=True)

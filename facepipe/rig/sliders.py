@@ -207,6 +207,26 @@ def kept(slider: Slider, joint: Callable[[str], bool], shape: Callable[[str], bo
     )
 
 
+def resting_at(slider: Slider, value: float) -> Slider:
+    """The slider with `value` as its default, at which it then adds nothing."""
+
+    def shifted(curve: Curve | None) -> Curve | None:
+        if curve is None:
+            return None
+        start = response(curve, value, slider.default)
+        return tuple((at, amount - start) for at, amount in curve)
+
+    channels = [(entry, shifted(curve)) for entry, curve in channel_entries(slider)]
+    shapes = [(entry, shifted(curve)) for entry, curve in shape_entries(slider)]
+    return replace(with_entries(slider, channels, shapes), default=value, value=None)
+
+
+def network_resting_at(network: SliderNetwork, values: Mapping[str, float]) -> SliderNetwork:
+    """The network less what it adds at the values of its sliders."""
+    start = network_outputs(network, np.array([values[name] for name in network.sliders]))
+    return replace(network, biases=(*network.biases[:-1], network.biases[-1] - start))
+
+
 def with_mutual_mirrors(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
     """The sliders without the mirrors that are not there or that name another."""
     return tuple(

@@ -6,8 +6,9 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.verbs.blend.blend import BlendFaces
+    from facepipe.verbs.blend.matching import MatchReport, match
     from facepipe.verbs.blend.options import BlendOptions
-    from facepipe.verbs.blend.quality import BlendReport, MatchReport, match
+    from facepipe.verbs.blend.quality import BlendReport
     from facepipe.verbs.blend.result import Blend
     from facepipe.verbs.blend.session import BlendSession
     from facepipe.verbs.blend.weights import Weights

@@ -7,6 +7,8 @@ regions` lists them); regions without weights take --default, or all sources ali
 flags say, which win: {"regions": {"eyes": [0.8, 0.2]}, "default": [0.5, 0.5], "gains": [1, 1], "locked": {"mouth": 2}},
 or flat {"eyes": [0.8, 0.2], "default": [0.5, 0.5]}.
 
+Weights below 0 and above 1 (to -1 and 2, once they sum to 1) exaggerate what faces differ by: --set nose=-0.5,1.5.
+
 The recipe stays on the result. --edit blends again from it with what the line changes: weights, locks, sources, and the
 options below. --match finds the weights whose blend comes nearest to a target sculpt of the same topology.
 
@@ -15,6 +17,7 @@ examples:
   facepipe blend --edit c.usda --set eyes=0.6,0.4 --lock mouth=2 --force
   facepipe blend --edit c.usda --replace 2=other.usda -o d.usda
   facepipe blend --match c.usda a.usda b.usda -o e.usda
+  facepipe blend a.usda b.usda -o f.usda --default 0.8,0.2 --motion-of 2
 """
 
 from __future__ import annotations
@@ -102,7 +105,7 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
     def author(self, face: Face, job: Job) -> BlendReport:
         from facepipe.importers import read_face
         from facepipe.parts import all_regions
-        from facepipe.verbs.blend.quality import match
+        from facepipe.verbs.blend.matching import match
         from facepipe.verbs.blend.result import Blend
         from facepipe.verbs.blend.session import BlendSession
         from facepipe.verbs.blend.weights import Weights

@@ -79,11 +79,8 @@ def build_graph(sources: Sources, edge_weights: EdgeWeights, smoothing_mm: float
 
 
 def joint_worlds(sources: Sources) -> FloatArray:
-    """(K, j, 4, 4) bind transforms in the base's bind space, joints in the base's order."""
-    binds = [
-        parts.skeleton.bind_transforms[np.argsort(place)]
-        for parts, place in zip(sources.parts, sources.joint_maps, strict=True)
-    ]
+    """(K, j, 4, 4) bind transforms in the base's bind space."""
+    binds = [parts.skeleton.bind_transforms for parts in sources.parts]
     stacked = np.array(binds, dtype=np.float64).reshape(len(binds), -1, 4, 4)
     return np.asarray(np.einsum("kab,kjbc->kjac", sources.to_base, stacked))
 

@@ -38,6 +38,14 @@ class BlendOptions:
     missing: Missing = option(
         "error", "shapes that some sources lack: an error, deformation transfer from those that have it, or skipped"
     )
+    motion_of: int | None = option(
+        None,
+        "source N, from 1, that all shapes come from, whatever the weights",
+        1,
+        1_000_000,
+        metavar="N",
+        before=None,
+    )
     static_mm: float = option(0.001, "a point that moves no further in any source is static", 0.0, 100.0, "mm")
     region_width_mm: float = option(
         0.0, "width of the harmonic transition put between regions; 0 takes their masks as they are", 0.0, 1000.0, "mm"

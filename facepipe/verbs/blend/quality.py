@@ -1,4 +1,4 @@
-"""How good a blend is: the report, in millimetres and as text, and weights for a target."""
+"""How good a blend is: the report, in millimetres and as text, and how deep skin lies in what it touches."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.reports import Report, table
-from facepipe.core.threads import one_thread
-from facepipe.geometry.bounded_least_squares import fit_simplex
 from facepipe.geometry.gradient_system import edge_vectors
 from facepipe.parts import FaceParts
 from facepipe.rig import build
-from facepipe.stage import Face
 from facepipe.verbs.blend.contacts import LEAST_MM
-from facepipe.verbs.blend.graph import mean_of_ends, point_name
+from facepipe.verbs.blend.graph import point_name
+from facepipe.verbs.blend.matching import MatchReport
 from facepipe.verbs.blend.session import BlendSession, Solution
-from facepipe.verbs.blend.sources import stack
-from facepipe.verbs.blend.weights import Weights
 
 _SHOWN = 4  # names of a list
 _CLOSE_MM = 30.0  # around the worst contact: what its picture shows
@@ -77,52 +73,6 @@ def contacts(session: BlendSession, solution: Solution) -> dict[str, Contact]:
             )
         found[body.name] = contact
     return found
-
-
-@dataclass(frozen=True, kw_only=True)
-class MatchReport(Report):
-    """Weights found for a target, and how near the blended edges come to the target's."""
-
-    weights: Weights
-    rms_mm: float
-    max_mm: float
-
-
-@one_thread()
-def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None = None) -> MatchReport:
-    """The region weights, 0 or more and summing to 1, whose blend is nearest to `target`.
-
-    A blend is linear in its weights, so the least squares over all edge vectors is a small convex problem. Parts that
-    keep their shape are left out of it. Neither the place of the target nor its shapes matter.
-
-    :param target: a face of the sources' topology
-    :param locked: region -> number of the source (from 1) that it stays with
-    :raises TopologyError, InputError: another topology, or locks that don't fit
-    """
-    graph, count = session.graph, len(session.sources.points)
-    (_, wanted) = stack([session.faces[0], target]).points  # as it lies: a blend stands in the first one's place
-    edges = graph.edges[~np.isin(graph.edges, session.kept.points).any(axis=1)]
-    goal = edge_vectors(wanted, edges).ravel()
-    # points that each region's whole weight on each source gives, region by region, with the anchor at 0
-    responses, bridges = [], graph.bridges
-    for mask in graph.masks:
-        along = mean_of_ends(mask[:, None], graph.edges[:, 0], graph.edges[:, 1])
-        across = mean_of_ends(mask[:, None], bridges.followers, bridges.leaders)
-        for edge, bridge in zip(session.edge_vectors, session.bridge_vectors, strict=True):
-            points = session.system.solve(along * edge, across * bridge, np.zeros(3))
-            responses.append(edge_vectors(points, edges).ravel())
-    basis = np.stack(responses, axis=1)
-    rows, locked = len(graph.regions) + 1, locked or {}
-    Weights(locked=locked).shares(graph.regions, count)  # checks them
-    locks = {graph.regions.index(name): np.eye(count)[number - 1] for name, number in locked.items()}
-    # shares sum to 1 in each region: only what differs from its mean counts, and rounding is relative to that
-    means = np.repeat(basis.reshape(len(basis), rows, count).mean(axis=2), count, axis=1)
-    basis, goal = basis - means, goal - means.sum(axis=1) / count
-    fitted = fit_simplex(basis.T @ basis, basis.T @ goal, rows, count, locked=locks)
-    off = np.linalg.norm((basis @ fitted.weights.ravel() - goal).reshape(-1, 3), axis=1) * session.sources.mm_per_unit
-    table = [tuple(map(float, row)) for row in np.round(fitted.weights, 9)]  # last bits differ with the threads of BLAS
-    weights = Weights(regions=dict(zip(graph.regions, table[:-1], strict=True)), default=table[-1], locked=dict(locked))
-    return MatchReport(weights=weights, rms_mm=float(np.sqrt((off**2).mean())), max_mm=float(off.max(initial=0.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +135,7 @@ class BlendReport(Report):
                 depth = _depth(contact.worst_depth_mm, contact.worst_sources_mm)
                 touching[-1] += f"; at worst {depth} with {contact.worst_shape}"
         lines = [
-            *([] if self.match is None else [_match(self.match, self.sources)]),
+            *([] if self.match is None else [self.match.found(self.sources)]),
             f"{out}: {len(self.sources)} source{'s' * (len(self.sources) != 1)}, {self.points:,} points, "
             f"{len(self.shapes)} shapes and inbetweens in {self.seconds:.2f} s",
             table(rows),
@@ -296,18 +246,6 @@ def _deviation(lengths: FloatArray) -> Deviation:
         p99_mm=float(p99),
         max_mm=float(lengths.max()),
     )
-
-
-def _match(match: MatchReport, sources: Sequence[str]) -> str:
-    """The weights that were found, a region a line, and how near they come to the target."""
-    # file names where all differ, else the paths
-    names = [Path(path).name for path in sources]
-    rows: list[list[object]] = [["found weights", *(names if len(set(names)) == len(names) else sources)]]
-    for name, row in match.weights.regions.items():
-        lock = match.weights.locked.get(name)
-        rows.append([name, *(f"{one:.3f}" for one in row), *([f"locked to {lock}"] if lock else [])])
-    rows.append(["default", *(f"{one:.3f}" for one in match.weights.default or ())])
-    return f"{table(rows)}\nedges differ from the target's by {match.rms_mm:.4f} mm RMS, {match.max_mm:.4f} mm at most"
 
 
 def _too_deep(name: str, contact: Contact) -> str:

@@ -23,7 +23,8 @@ from facepipe.verbs.blend.options import BlendOptions
 from facepipe.verbs.blend.quality import BlendReport, measure
 from facepipe.verbs.blend.rigs import blend_skeletons, blend_skins, rebase_animations
 from facepipe.verbs.blend.session import BlendSession, Solution
-from facepipe.verbs.blend.sources import Sources
+from facepipe.verbs.blend.settings import with_settings
+from facepipe.verbs.blend.sources import UNALIGNED, Sources
 from facepipe.verbs.blend.weights import Weights
 
 _DEGENERATE = 1e-6  # a sum of unit vectors shorter than this has no direction
@@ -80,7 +81,7 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
     were skipped.
     """
     sources, neutral = session.sources, solution.neutral
-    base = sources.base
+    base = with_settings(sources, solution)
     meshes = []
     for number, (mesh, space) in enumerate(zip(base.meshes, mesh_spaces(base), strict=True)):
         sculpted = [parts.meshes[number] for parts in sources.parts]
@@ -91,12 +92,16 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
                 mesh,
                 points=points,
                 normals=_normals(sources, shares, number, points),
-                skin=blend_skins([one.skin for one in sculpted], shares, sources.joint_maps),
+                skin=blend_skins([one.skin for one in sculpted], shares),
                 blendshapes=_blendshapes(sculpted, points, solution, span, back[:3, :3]),
             )
         )
     skeleton = blend_skeletons(
-        [parts.skeleton for parts in sources.parts], session.joint_worlds, neutral.joints, neutral.joint_shares
+        [parts.skeleton for parts in sources.parts],
+        session.joint_worlds,
+        neutral.joints,
+        neutral.joint_shares,
+        aligned=sources.aligned != UNALIGNED,
     )
     gone, network = set(session.skipped), base.slider_network
     animations = []

@@ -6,19 +6,25 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import TopologyError
 from facepipe.parts import Animation, Skeleton, Skin
 from facepipe.rig.animation import local_transforms
-from facepipe.rig.trs import decompose, rotation_matrices
+from facepipe.rig.trs import decompose, rest_worlds, rotation_matrices
 
 _GAP = 1e-9  # eigenvalues closer than this (of weights that sum to 1): no rotation is nearest to all sources
 _SINGULAR = 1e-9  # of the product of the column lengths
 
 
 def blend_skeletons(
-    skeletons: Sequence[Skeleton], bind_worlds: FloatArray, positions: FloatArray, weights: FloatArray
+    skeletons: Sequence[Skeleton],
+    bind_worlds: FloatArray,
+    positions: FloatArray,
+    weights: FloatArray,
+    *,
+    aligned: bool = False,
 ) -> Skeleton:
     """The base's skeleton with blended bind and rest transforms.
 
@@ -28,41 +34,37 @@ def blend_skeletons(
     the rest is the new bind pose where it was in every source, and sources that agree are given back. For roots it
     is taken relative to the space that they stand in: the place of the body joint that a face hangs under is kept.
 
-    :param skeletons: of K sources, the base first
-    :param bind_worlds: (K, j, 4, 4) their bind transforms in the base's joint order and bind space
+    Axes of joints are as long as in each source's own file. Sources that were `aligned` have the base's size and place:
+    there a source's axes are as long as the base's (the median over joints, which leaves what single joints are scaled
+    by), and what takes its first root from bind to rest, which places the whole face, is what does so in the base.
+
+    :param skeletons: of K sources with the same joints, the base first
+    :param bind_worlds: (K, j, 4, 4) their bind transforms in the base's bind space
     :param positions: (j, 3) new places of the joints in the base's bind space
     :param weights: (j, K) shares, each row summing to 1
-    :raises TopologyError: a source that lacks a joint of the base, or a singular transform
+    :raises TopologyError: a singular transform
     """
     base = skeletons[0]
     if not base.joints:
         return base
-    places = []
-    for number, skeleton in enumerate(skeletons, 1):
-        numbers = {joint: i for i, joint in enumerate(skeleton.joints)}
-        missing = next((joint for joint in base.joints if joint not in numbers), None)
-        if missing is not None:
-            what = f"no joint '{missing}', expected it as in the first"
-            raise TopologyError(f"source {number} -> {skeleton.name}", what)
-        places.append(np.array([numbers[joint] for joint in base.joints], dtype=np.int64))
-    binds = np.stack([_float64(one.bind_transforms)[at] for one, at in zip(skeletons, places, strict=True)])
-    rests = np.empty(binds.shape)
-    for own, skeleton, at in zip(rests, skeletons, places, strict=True):
-        worlds = _float64(skeleton.rest_transforms).copy()  # in skeleton space
-        for joint, parent in enumerate(skeleton.parents):
-            if parent >= 0:
-                worlds[joint] = worlds[parent] @ worlds[joint]
-        own[:] = worlds[at]
+    binds = np.stack([_float64(one.bind_transforms) for one in skeletons])
+    rests = np.stack([rest_worlds(one) for one in skeletons])  # in skeleton space
     moved = _float64(bind_worlds) @ _inverse(binds, base)  # (K, j, 4, 4) a source's space -> the base's bind space
-    # a change of unit is one of places: a joint's axes stay as long as in its own file
-    units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
+    if aligned:
+        # not by `moved`: a face that is larger by its points has axes of length 1, one that is so by its root joint not
+        sizes = np.cbrt(np.abs(np.linalg.det(_float64(bind_worlds)[..., :3, :3])))
+        units = np.median(sizes / sizes[0], axis=1)[:, None, None]
+    else:
+        # a change of unit is one of places
+        units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
     linear = blend_linear(_float64(bind_worlds)[..., :3, :3] / units[..., None], weights)
     bind = _transforms(linear, positions)
     # (K, j, 4, 4) what takes each joint from bind to rest in its own axes, both relative to the joint's parent
     relative = np.stack([_inverse(_local(a, base), base) @ _local(b, base) for a, b in zip(binds, rests, strict=True)])
     relative[..., :3, 3] *= units
     roots = base.parents < 0
-    relative[:, roots] = (moved @ rests @ _inverse(binds, base) @ _inverse(moved, base))[:, roots]
+    changes = (moved @ rests @ _inverse(binds, base) @ _inverse(moved, base))[:, roots]
+    relative[:, roots] = changes[:1, :1] @ np.linalg.inv(changes[:, :1]) @ changes if aligned else changes
     translation = np.einsum("jk,kjc->jc", weights, relative[..., :3, 3])
     change = _transforms(blend_linear(relative[..., :3, :3], weights), translation)
     local = _local(bind, base)
@@ -77,8 +79,11 @@ def blend_linear(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     The rotation is the weighted chordal mean, the largest eigenvector of ``sum_k a_k q_k q_k^T``, which knows no signs
     of quaternions (Markley et al., Averaging Quaternions, 2007); where two are as good, that of the source with the
     largest share. The stretch ``R_k^T A_k`` of a source is its scale, and its shear where there is some.
+
+    With shares below 0 that eigenvector may be any, and a mean of scales may be 0 or mirror. There ``R_0 exp(sum_k a_k
+    log(R_0^T R_k))`` goes on along the turn from the base to the others, and scales go on as powers.
     """
-    rotations = decompose(_affine(matrices)).rotation
+    _, rotations, scales, _ = decompose(_affine(matrices))
     outer = np.einsum("jk,kja,kjb->jab", weights, rotations, rotations)
     values, vectors = np.linalg.eigh(outer)
     mean = vectors[..., -1]
@@ -86,7 +91,18 @@ def blend_linear(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     heaviest = rotations[np.argmax(weights, axis=1), np.arange(len(weights))]
     mean = np.where(tied[:, None], heaviest, mean)
     stretches = np.swapaxes(rotation_matrices(rotations), -1, -2) @ matrices
-    return np.asarray(rotation_matrices(mean) @ np.einsum("jk,kjab->jab", weights, stretches))
+    blended = rotation_matrices(mean) @ np.einsum("jk,kjab->jab", weights, stretches)
+    beyond = np.flatnonzero((weights < 0).any(axis=1))
+    if len(beyond):
+        shares, turns = weights[beyond], rotation_matrices(rotations[:, beyond])
+        others = np.swapaxes(turns[0], -1, -2) @ turns
+        steps = Rotation.from_matrix(others.reshape(-1, 3, 3)).as_rotvec().reshape(*others.shape[:-1])
+        turned = turns[0] @ Rotation.from_rotvec(np.einsum("jk,kja->ja", shares, steps)).as_matrix()
+        sizes = scales[:, beyond]
+        size = np.sign(sizes[0]) * np.exp(np.einsum("jk,kja->ja", shares, np.log(np.abs(sizes))))
+        sheared = np.einsum("jk,kjab->jab", shares, stretches[:, beyond] / sizes[:, :, None, :])
+        blended[beyond] = turned @ (sheared * size[:, None, :])
+    return np.asarray(blended)
 
 
 def _local(worlds: FloatArray, base: Skeleton) -> FloatArray:
@@ -127,7 +143,7 @@ def _float64(array: FloatArray) -> FloatArray:
     return np.asarray(array, dtype=np.float64)
 
 
-def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: Sequence[IntArray]) -> Skin | None:
+def blend_skins(skins: Sequence[Skin | None], weights: FloatArray) -> Skin | None:
     """The skin ``sum_k a_k W_k`` of every point, normalised: as many influences as the widest source, largest first.
 
     Where the blend has more influences than that, the smallest are left out. Points where all sources agree (in
@@ -136,18 +152,14 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
 
     :param skins: of K sources, the base first; None where the base has none
     :param weights: (n, K) shares, each row summing to 1
-    :param joint_maps: of every source, (j,) numbers of its joints in the base
     """
     base = skins[0]
     if base is None:
         return None
     given = [(k, skin) for k, skin in enumerate(skins) if skin is not None]
     merged = [
-        _merged(
-            joint_maps[k][skin.joint_indices],
-            np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64)),
-        )
-        for k, skin in given
+        _merged(skin.joint_indices, np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64)))
+        for _, skin in given
     ]
     width = max(skin.joint_indices.shape[1] for _, skin in given)
     # points where all sources have the same influences, in float32
@@ -161,9 +173,11 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     joints = np.concatenate([numbers for numbers, _ in merged], axis=1)
     parts = [weights[:, k : k + 1] * part for (k, _), (_, part) in zip(given, merged, strict=True)]
     shares = np.concatenate(parts, axis=1)
-    indices, blended = _sorted(*_merged(joints, shares), width)
+    used, sums = _merged(joints, shares)
+    indices, blended = _sorted(used, np.maximum(sums, 0.0), width)  # sums are below 0 where shares of sources are
     total = blended.sum(axis=1, keepdims=True)
     blended = blended / np.where(total > 0, total, 1.0)
+    agreed |= total[:, 0] <= 0  # no source that has influences there has a share above 0: as in the base
     # sum_k a_k w equals w only up to rounding: put back, the weights that all agree on keep every digit
     indices[agreed], blended[agreed] = (one[agreed] for one in first)
     return replace(base, joint_indices=indices, joint_weights=blended)

@@ -57,31 +57,37 @@ class Sculpts:
     transferred: tuple[tuple[str, str], ...]  # (shape, source that lacked it)
 
 
-def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, threshold_mm: float) -> Sculpts:
+def pair_sculpts(
+    sources: Sources, triangles: IntArray, missing: Missing, threshold_mm: float, motion: int | None = None
+) -> Sculpts:
     """Pair the shapes of all sources by name; inbetweens by weight.
 
     A source without some inbetween of a shape gives the point that its own shape passes at that weight.
 
     :param threshold_mm: a point that moves no further in any source is static
-    :raises InputError: a shape that some source lacks, where `missing` is ``error``
+    :param motion: number of the source whose offsets all have; shapes that neither it nor the base has are left out
+    :raises InputError: a shape that some source lacks, or that of `motion` does, where `missing` is ``error``
     """
     shapes = tuple(dict.fromkeys(name for own in sources.shapes for name in own))
     lacking = {shape: [k for k, own in enumerate(sources.shapes) if shape not in own] for shape in shapes}
-    lost = {shape: lack for shape, lack in lacking.items() if lack}
-    if lost and missing == "error":
-        shape, lack = next(iter(lost.items()))
-        more = f" (and {len(lost) - 1} more shapes)" if len(lost) > 1 else ""
-        what = f"no shape '{shape}', which other sources have{more}; expected it in all (or --missing transfer|skip)"
-        raise InputError(sources.names[lack[0]], what)
+    lost = {shape: lack for shape, lack in lacking.items() if (lack if motion is None else motion in lack)}
+    foreign = [] if motion is None else [shape for shape in lost if shape not in sources.shapes[0]]
+    wanted = [shape for shape in lost if shape not in foreign]
+    if wanted and missing == "error":
+        where = sources.names[lost[wanted[0]][0] if motion is None else motion]
+        more = f" (and {len(wanted) - 1} more shapes)" if len(wanted) > 1 else ""
+        what = f"no shape '{wanted[0]}', which other sources have{more}; expected it too (or --missing transfer|skip)"
+        raise InputError(where, what)
     sculpts, skipped, transferred = [], [], []
     transfer = _Transfers(sources, triangles)
     for shape in shapes:
         lack = lacking[shape]
-        if lack and missing == "skip":
+        if shape in foreign or (shape in lost and missing == "skip"):
             skipped.append(shape)
             continue
-        transferred += [(shape, sources.names[k]) for k in lack]
-        for weight, name in _weights(sources.parts, shape):
+        counted = slice(None) if motion is None or shape in lost else slice(motion, motion + 1)
+        transferred += [(shape, sources.names[k]) for k in lack if shape in lost and motion in (None, k)]
+        for weight, name in _weights(sources.parts[counted], shape):
             # (K, n, 3) offsets at a weight of the shape; 0 in sources without it
             offsets = np.zeros(sources.points.shape)
             for k, parts in enumerate(sources.parts):
@@ -92,10 +98,12 @@ def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, thresh
                         if blendshape.name == shape:
                             offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
             # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
-            points = np.flatnonzero((np.linalg.norm(offsets, axis=2) * sources.mm_per_unit > threshold_mm).any(axis=0))
-            if lack:
+            lengths = np.linalg.norm(offsets[counted], axis=2) * sources.mm_per_unit
+            points = np.flatnonzero((lengths > threshold_mm).any(axis=0))
+            if shape in lost:
                 transfer.fill(offsets, points, lack)
-            sculpts.append(Sculpt(shape, weight, name, points, offsets[:, points]))
+            taken = offsets if motion is None else offsets[[motion] * len(offsets)]
+            sculpts.append(Sculpt(shape, weight, name, points, taken[:, points]))
     return Sculpts(tuple(sculpts), tuple(skipped), tuple(transferred))
 
 
@@ -142,7 +150,7 @@ class KeptParts:
 
     points: IntArray  # (p,) into all points
     part: IntArray  # (p,) number of the part, from 0
-    neutrals: FloatArray  # (K, p, 3) as the sources have them
+    neutrals: FloatArray  # (K, p, 3) as those have them whose shapes move them
     shapes: FloatArray  # (K, p, 3) moved onto the base's
 
     def fit(self, solved: FloatArray, shares: FloatArray) -> FloatArray:
@@ -197,9 +205,10 @@ class KeptParts:
         offsets[points] = np.where(moving[points][:, None], fitted, 0.0)
 
 
-def kept_parts(sources: Sources, graph: Graph, globs: str) -> KeptParts:
+def kept_parts(sources: Sources, graph: Graph, globs: str, motion: int | None = None) -> KeptParts:
     """The loose parts of the meshes whose names `globs` match.
 
+    :param motion: number of the source whose shapes all have
     :raises InputError: a glob that matches no mesh
     """
     names = tuple(mesh.name for mesh in sources.base.meshes)
@@ -214,7 +223,8 @@ def kept_parts(sources: Sources, graph: Graph, globs: str) -> KeptParts:
         return KeptParts(points, part, nothing, nothing)
     base = sources.points[0, points]
     aligned = [fit_similarities(source[points], base, part).apply(source[points], part) for source in sources.points]
-    return KeptParts(points, part, sources.points[:, points], np.stack(aligned))
+    moved = sources.points if motion is None else sources.points[[motion] * len(aligned)]
+    return KeptParts(points, part, moved[:, points], np.stack(aligned))
 
 
 def _default(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -285,8 +295,14 @@ class BlendSession:
         anchor = anchor_named(self.sources, self.options.anchor)
         self.graph = build_graph(self.sources, self.options.edges, self.options.region_width_mm, anchor)
         graph = self.graph
-        self.kept = kept_parts(self.sources, graph, self.options.keep_shape)
-        paired = pair_sculpts(self.sources, graph.triangles, self.options.missing, self.options.static_mm)
+        motion = self.options.motion_of
+        if motion is not None:
+            if motion > len(faces):
+                what = f"source {motion}, expected the number of one, from 1 to {len(faces)}"
+                raise InputError("option motion_of", what)
+            motion -= 1
+        self.kept = kept_parts(self.sources, graph, self.options.keep_shape, motion)
+        paired = pair_sculpts(self.sources, graph.triangles, self.options.missing, self.options.static_mm, motion)
         self.sculpts, self.skipped, self.transferred = paired.sculpts, paired.skipped, paired.transferred
         self.system = GradientSystem(
             graph.edges, graph.edge_weights, graph.main, graph.bridges, graph.anchor, self.options.solver

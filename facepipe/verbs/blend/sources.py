@@ -14,10 +14,11 @@ from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.geometry.vectors import transformed
-from facepipe.parts import FaceParts, Mesh, Skeleton, TextureInput, all_regions
+from facepipe.parts import FaceParts, Mesh, TextureInput, all_regions
 from facepipe.rig import build, mesh_spaces, set_face
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
 from facepipe.stage import Face
+from facepipe.verbs.blend.joints import with_joints
 from facepipe.verbs.whole_faces import check_same_faces, check_spaces, in_order, world_to_world
 
 LANDMARKS, UNALIGNED = "landmarks", "none"
@@ -36,13 +37,12 @@ class Sources:
     """
 
     names: tuple[str, ...]  # where each comes from, for messages
-    parts: tuple[FaceParts, ...]  # meshes in the order of the base
+    parts: tuple[FaceParts, ...]  # meshes and joints those of the base, in its order
     shapes: tuple[tuple[str, ...], ...]  # names of each one's shapes
     mesh_offsets: IntArray  # (meshes + 1,) first point of each mesh, and the count
     to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units, up axis, and alignment
     points: FloatArray  # (K, n, 3) neutral points in bind space
     mm_per_unit: float  # millimetres in a unit of bind space
-    joint_maps: tuple[IntArray, ...]  # of every source, number in the base of each of its joints
     aligned: str  # what later sources are laid on the base by
     warnings: tuple[str, ...] = ()
 
@@ -72,8 +72,9 @@ def stack(faces: Sequence[Face], align: str = UNALIGNED) -> Sources:
     held, aligned = _held(base, align, names[0]) if len(faces) > 1 else ({}, UNALIGNED)
     for name, face in zip(names[1:], faces[1:], strict=True):
         source = set_face(face.parts()).parts
-        _check_joints(names[0], base.skeleton, name, source.skeleton)
         spaces.append(_aligned(base, source, held))
+        source, notes = with_joints(base, names[0], source, name, spaces[-1])
+        warnings += notes
         source, worn = with_cards(base, source, spaces[-1])
         if worn:
             warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
@@ -85,7 +86,6 @@ def stack(faces: Sequence[Face], align: str = UNALIGNED) -> Sources:
         check_spaces(name, face_parts)
     rigs = [replace(build(part), targets=()) for part in parts]  # offsets are read from the parts, once
     to_base = np.array(spaces)
-    numbers = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     warnings += _losses(names, parts)
     moved = [transformed(rig.points, matrix) for rig, matrix in zip(rigs, to_base, strict=True)]
     _check_sizes(names, [transformed(rig.points, _to_base(part, base)) for rig, part in zip(rigs, parts, strict=True)])
@@ -100,9 +100,6 @@ def stack(faces: Sequence[Face], align: str = UNALIGNED) -> Sources:
         mm_per_unit=base.meters_per_unit
         * 1000.0
         * float(np.cbrt(np.abs(np.linalg.det(base.skeleton.transform[:3, :3])))),
-        joint_maps=tuple(
-            np.array([numbers[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
-        ),
         aligned=aligned,
         warnings=tuple(warnings),
     )
@@ -158,19 +155,6 @@ def _aligned(base: FaceParts, source: FaceParts, held: Mapping[str, tuple[IntArr
     laid = np.eye(4)
     laid[:3, :3], laid[:3, 3] = fitted.scale * fitted.rotation, fitted.translation
     return np.asarray(laid @ to_base)
-
-
-def _check_joints(base: str, expected: Skeleton, name: str, found: Skeleton) -> None:
-    """:raises TopologyError: other joints than the base's"""
-    where = f"{name} -> {found.name}"
-    for joint in expected.joints:
-        if joint not in found.joints:
-            raise TopologyError(where, f"no joint '{joint}', expected the {len(expected.joints)} joints of {base}")
-    for joint in found.joints:
-        if joint not in expected.joints:
-            raise TopologyError(
-                where, f"joint '{joint}', which {base} lacks, expected its {len(expected.joints)} joints"
-            )
 
 
 def _check_sizes(names: Sequence[str], points: Sequence[FloatArray]) -> None:
@@ -239,7 +223,6 @@ def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple
     skin = max(faces, key=lambda mesh: len(mesh.points))
     # found in the base's bind space, authored in the source's, which may differ in unit and up axis
     back = np.linalg.inv(to_base)
-    joints = np.array([source.skeleton.joints.index(joint) for joint in base.skeleton.joints] or [0], np.int32)
     worn = {}
     for mesh in missing:
         space = back @ _space(base, mesh)
@@ -268,8 +251,7 @@ def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple
             mesh,
             points=points,
             transform=source.skeleton.transform,
-            skin=mesh.skin
-            and replace(mesh.skin, joint_indices=joints[mesh.skin.joint_indices], geom_bind_transform=np.eye(4)),
+            skin=mesh.skin and replace(mesh.skin, geom_bind_transform=np.eye(4)),
             normals=None,
             blendshapes=tuple(shapes),
         )

@@ -23,6 +23,9 @@ from facepipe.declare import from_json
 
 _NO_REGIONS = "none: the first source has no regions"
 _MOST_BYTES = 1 << 20
+_LEAST, _MOST = -1.0, 2.0  # of a share: as far beyond one source again as it lies from the other
+_ROUNDING = 1e-9
+_HUGEST = sys.float_info.max
 _KEYS = ("regions", "default", "gains", "locked")
 Key = TypeVar("Key")
 Value = TypeVar("Value")
@@ -39,7 +42,8 @@ class Shares(NamedTuple):
 class Weights:
     """Weights of the K sources, one per source, in their order.
 
-    :param regions: region name -> K weights, at least 0 and not all 0; they are normalised to sum 1
+    :param regions: region name -> K weights; they are normalised to sum 1, and then lie within -1..2: beyond 0..1 what
+        sources differ by is exaggerated
     :param default: K weights of every region not named, and of points in no region; None: all the same
     :param gains: K factors, one per source, on its weights everywhere
     :param locked: region name -> number of a source (from 1) that it takes whole, whatever its weights say
@@ -60,7 +64,7 @@ class Weights:
                 raise InputError(f"weights -> {name}", f"no such region{suggestion(name, regions, _NO_REGIONS)}")
         given = {name: _checked(name, row, sources) for name, row in self.regions.items()}
         default = np.ones(sources) if self.default is None else _checked("default", self.default, sources)
-        gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources)
+        gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources, least=0.0)
         notes = [note for name, row in given.items() for note in _note(name, row)]
         notes += _note("default", default) if self.default is not None else []
         rows = []
@@ -69,7 +73,9 @@ class Weights:
             together = (row / row.max()) * (gains / gains.max())  # products and sums of huge weights would overflow
             if not together.max() > 0:
                 raise InputError(f"weights -> {name}", "the gains leave all weights at 0, expected one above 0")
-            rows.append(together / together.sum())
+            rows.append(_normalised(name, together))
+            if (name in given or name == "default") and (rows[-1] < 0).any():
+                notes.append(f"weights of {name} go beyond 0..1: caricature")
         for name, number in self.locked.items():
             if not (isinstance(number, int) and 1 <= number <= sources):
                 raise InputError(f"lock -> {name}", f"source {number}, expected a number from 1 to {sources}")
@@ -77,17 +83,36 @@ class Weights:
         return Shares(np.array(rows), tuple(notes))
 
 
-def _checked(name: str, values: Sequence[float] | FloatArray, sources: int) -> FloatArray:
+def _checked(
+    name: str, values: Sequence[float] | FloatArray, sources: int, least: float = -sys.float_info.max
+) -> FloatArray:
     where = f"weights -> {name}"
     if not isinstance(values, list | tuple | np.ndarray) or len(values) != sources:
         given = f"{len(values)} weights" if isinstance(values, list | tuple | np.ndarray) else repr(values)[:40]
         raise InputError(where, f"{given}, expected {sources}, one per source")
     for number, value in enumerate(values, 1):
-        if not (isinstance(value, int | float | np.number) and 0 <= value <= sys.float_info.max):
-            raise InputError(f"{where} -> source {number}", f"weight {value!r}, expected a number of 0 or more")
+        if not (isinstance(value, int | float | np.number) and value >= least and value <= _HUGEST):
+            expected = "a finite number" if least < 0 else "a number of 0 or more"
+            raise InputError(f"{where} -> source {number}", f"weight {value!r}, expected {expected}")
     if not any(value > 0 for value in values):
-        raise InputError(where, "all weights are 0, expected one above 0")
+        raise InputError(where, "no weight above 0, expected one")
     return np.array(values, dtype=np.float64)
+
+
+def _normalised(name: str, row: FloatArray) -> FloatArray:
+    """(K,) the row with sum 1.
+
+    :raises InputError: a sum of 0 or less, or weights beyond -1..2, where faces are torn
+    """
+    total, where = row.sum(), f"weights -> {name}"
+    if not total > 0:
+        raise InputError(where, "weights that sum to 0 or less, expected a sum above 0")
+    shares = row / total
+    beyond = np.flatnonzero((shares < _LEAST - _ROUNDING) | (shares > _MOST + _ROUNDING))
+    if len(beyond):
+        value = f"{shares[beyond[0]]:g} where weights sum to 1"
+        raise InputError(f"{where} -> source {beyond[0] + 1}", f"{value}, expected {_LEAST:g} to {_MOST:g}")
+    return np.asarray(shares)
 
 
 def _note(name: str, row: FloatArray) -> list[str]:

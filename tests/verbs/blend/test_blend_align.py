@@ -32,12 +32,34 @@ def few(number: int) -> FaceParts:
     return replace(changed(head("sample", number), lean), sliders=(), animations=())
 
 
-def placed(parts: FaceParts, degrees: float, scale: float = 1.0) -> FaceParts:
-    """The face turned, moved and larger."""
+def placed(parts: FaceParts, degrees: float, scale: float = 1.0, by: str = "unit") -> FaceParts:
+    """The face turned, moved and larger.
+
+    :param by: what makes it larger: the unit, its points, its root joint (at bind time and at rest, or at rest alone),
+        or the transforms of what it stands in
+    """
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * np.array([0.48, 0.6, 0.64])).as_matrix()
     matrix[:3, 3] = (3.0, -20.0, 7.0)
-    return replace(moved(parts, matrix), meters_per_unit=scale * parts.meters_per_unit)
+    if by == "unit":
+        return replace(moved(parts, matrix), meters_per_unit=scale * parts.meters_per_unit)
+    larger = matrix @ np.diag([scale, scale, scale, 1.0])
+    skeleton, roots = parts.skeleton, parts.skeleton.parents < 0
+    if by == "transforms":
+        meshes = changed(parts, lambda mesh: replace_mesh(mesh, transform=larger @ mesh.transform))
+        return replace(meshes, skeleton=replace(skeleton, transform=larger @ skeleton.transform))
+    if by == "rest":
+        rest = np.array(skeleton.rest_transforms, np.float64)
+        rest[roots] = larger @ rest[roots]
+        return replace(parts, skeleton=replace(skeleton, rest_transforms=rest))
+    whole = moved(parts, larger)
+    if by == "root":
+        return whole
+    bind, rest = np.array(whole.skeleton.bind_transforms), np.array(whole.skeleton.rest_transforms)
+    bind[:, :3, :3] /= scale
+    rest[roots, :3, :3] /= scale
+    rest[~roots, :3, 3] *= scale
+    return replace(whole, skeleton=replace(whole.skeleton, bind_transforms=bind, rest_transforms=rest))
 
 
 def blend(*parts: FaceParts, align: str = "landmarks", weights: Weights = WEIGHTS) -> FaceParts:
@@ -54,10 +76,15 @@ def off(found: FaceParts, expected: FaceParts) -> float:
         weights = ({name: float(name == shape) for name in other.shapes},)
         shown = [rig.evaluate(*weights) for rig in (one, other)]
         distances.append(np.linalg.norm(shown[0] - shown[1], axis=1).max())
-    for a, b in zip(found.skeleton.bind_transforms, expected.skeleton.bind_transforms, strict=True):
-        distances.append(float(np.linalg.norm(a[:3, 3] - b[:3, 3])))
-        distances.append(float(np.linalg.norm(a[:3, :3] - b[:3, :3])))  # axes of joints: of length 1
+    for a, b in joints(found, expected):
+        distances.append(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max())
     return 1000.0 * expected.meters_per_unit * float(max(distances))
+
+
+def joints(*faces: FaceParts) -> list[tuple[np.ndarray, ...]]:
+    """(j, 4, 4) of every face at bind time, and those at rest."""
+    skeletons = [face.skeleton for face in faces]
+    return [tuple(s.bind_transforms for s in skeletons), tuple(s.rest_transforms for s in skeletons)]
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +92,26 @@ def plain() -> FaceParts:
     return blend(few(0), few(1))
 
 
+@pytest.mark.parametrize("by", ["unit", "points", "root", "rest", "transforms"])
 @pytest.mark.parametrize(("degrees", "scale"), [(8.0, 1.0), (14.0, 1.2), (30.0, 0.6)])
-def test_a_source_turned_and_scaled_is_the_same_source(plain: FaceParts, degrees: float, scale: float) -> None:
-    assert off(blend(few(0), placed(few(1), degrees, scale)), plain) <= ABOUT_MM
+def test_a_source_turned_and_scaled_is_the_same_source(plain: FaceParts, degrees: float, scale: float, by: str) -> None:
+    """Axes of joints too: clips would play larger on longer ones."""
+    found = blend(few(0), placed(few(1), degrees, scale, by))
+    assert off(found, plain) <= ABOUT_MM
+    for one, other in joints(found, plain):
+        np.testing.assert_allclose(one[:, :3, :3], other[:, :3, :3], rtol=0, atol=1e-5)
+
+
+def test_a_joint_that_is_scaled_alone_stays_so() -> None:
+    """What one joint of a source is scaled by belongs to the person; what all are scaled by does not."""
+    other = few(1)
+    bind = np.array(other.skeleton.bind_transforms)
+    bind[5, :3, :3] *= 1.5
+    found = blend(few(0), replace(other, skeleton=replace(other.skeleton, bind_transforms=bind)), weights=Weights())
+    lengths = np.linalg.norm(found.skeleton.bind_transforms[:, :3, :3], axis=1)
+    expected = np.ones(lengths.shape)
+    expected[5] = 1.25
+    np.testing.assert_allclose(lengths, expected, atol=1e-6)
 
 
 def test_the_result_stands_where_the_first_source_does(plain: FaceParts) -> None:
