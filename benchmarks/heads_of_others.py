@@ -58,9 +58,9 @@ class Bench:
     """The head in the box, and who people may be."""
 
     def __init__(self) -> None:
-        from facepipe.scanning.transfer.transfer import _template
+        from facepipe.scanning.transfer.transfer import template_in
 
-        self._body, self._people = _template(None)
+        self._body, self._people, _ = template_in(None)
 
     def run(self, parts: Any, where: str, landmarks: FloatArray | None = None) -> tuple[dict[str, float], Any]:
         """Figures of one head, and (n, 3) whole deltas in millimetres by name.

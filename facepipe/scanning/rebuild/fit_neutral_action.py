@@ -51,7 +51,7 @@ class TemplateAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralR
     """Base of the actions that put a template's neutral on something."""
 
     template: Path | None = source(
-        "face stage with multipie68 landmarks (default the built-in head)",
+        "face stage; landmarks that it lacks are found on it (default the built-in head)",
         default=None,
         flag="--template",
         metavar="FACE",
@@ -111,11 +111,15 @@ class FittingAction(TemplateAction):
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
+        from facepipe.scanning.transfer.marks import with_landmarks
         from facepipe.scanning.transfer.people import people_on
         from facepipe.verbs.author_neutral import AuthorNeutral
 
-        parts = face.parts()
-        template, own = Template.of(parts, str(self.template or face.where)), bare_head(parts)
+        where = str(self.template or face.where)
+        with job.watch("template", 1) as bar:
+            parts, found = with_landmarks(face.parts(), where)
+            bar.update()
+        template, own = Template.of(parts, where), bare_head(parts)
         if self.database is not None:
             database = load_database(self.database)
         elif own is not None:
@@ -143,7 +147,7 @@ class FittingAction(TemplateAction):
         missed = misses(report.quality, QualityLimits())
         return replace(
             report,
-            warnings=(*notes, *report.warnings, *authored.warnings, *baked.warnings, *missed),
+            warnings=(*found, *notes, *report.warnings, *authored.warnings, *baked.warnings, *missed),
             missed=missed,
             picture=partial(
                 draw_face_on_scan, template=template, points=shown, scan=scan, place=place, neutral=neutral

@@ -112,7 +112,7 @@ class Head:
         :raises FacepipeError: a file that can't be used, or no landmarks found
         """
         points, source, notes = whole_points(parts), "the head's own", tuple[str, ...]()
-        own = _own_landmarks(parts, points)
+        own = held_landmarks(parts, points)
         if given is not None:
             from facepipe.importers.scan_landmarks import read_scan_landmarks
 
@@ -263,7 +263,8 @@ def _layers(parts: FaceParts, points: FloatArray, landmarks: ScanLandmarks) -> l
     return [0 if not layer else sum(layers[:number]) for number, layer in enumerate(layers)]
 
 
-def _own_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:
+def held_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:
+    """Those of a face at its whole points (n, 3); None: it has none."""
     start = 0
     for mesh in parts.meshes:
         own = mesh.landmarks.get(LANDMARK_SCHEME)
