@@ -10,9 +10,9 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.threads import one_thread
 from facepipe.parts import FaceParts, Landmarks, Mesh
-from facepipe.scanning.transfer.fit import HeadFit
+from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head, held_landmarks
-from facepipe.scanning.transfer.people import built_in_on
+from facepipe.scanning.transfer.people import built_in
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.verbs.whole_faces import whole_points
 
@@ -34,8 +34,9 @@ def with_landmarks(parts: FaceParts, where: str) -> tuple[FaceParts, tuple[str, 
     head = Head.of(parts, where, None)
     skin = head.skin()
     surface = head.sewn[skin], head.surface.part_triangles(skin), head.landmarks
-    built_in, _, fit = built_in_on(*surface, where)
-    meshes = with_marks(parts.meshes, head, skin, built_in.parts, fit)
+    body, people = built_in()
+    fit = fit_head(body, people, *surface, name=where)
+    meshes = with_marks(parts.meshes, head, skin, body.parts, fit)
     line = f"{where}: has no multipie68 landmarks: found on it (facepipe transfer puts them on it to be mended)"
     return replace(parts, meshes=tuple(meshes)), (line, *(f"{where}: {note}" for note in head.notes))
 

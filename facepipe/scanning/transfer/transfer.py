@@ -19,7 +19,7 @@ from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Recipe, Slider, all_regions
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
-from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_inside_fitted
+from facepipe.scanning.rebuild.built_in_head import bare_head, with_inside_fitted
 from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
@@ -28,7 +28,7 @@ from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, fini
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.marks import with_landmarks, with_marks
-from facepipe.scanning.transfer.people import people_on
+from facepipe.scanning.transfer.people import people_of
 from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, outer_skin, pieces_of
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
@@ -363,12 +363,7 @@ def template_in(path: Path | None) -> tuple[Template, FaceDatabase, tuple[str, .
 
     given, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
     parts, notes = with_landmarks(given, where)
-    own = bare_head(parts)
-    template = Template.of(parts, where)
-    if own is None:
-        return template, people_on(template), notes
-    database = people(own)
-    return template.body(database.topology), database, notes
+    return *people_of(Template.of(parts, where)), notes
 
 
 def _settled(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,15 +10,17 @@ import numpy as np
 import pytest
 import small_head
 from command_line import done, failed
+from scipy.spatial.transform import Rotation
 from solids import ball
 
 import facepipe
+from facepipe.core.errors import InputError
 from facepipe.heads import make
 from facepipe.importers import read_face
 from facepipe.parts import FaceParts, Mesh
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.marks import with_landmarks
-from facepipe.scanning.transfer.people import people_on
+from facepipe.scanning.transfer.people import check_place, people_of, people_on
 from facepipe.stage import save_parts
 from facepipe.verbs.whole_faces import whole_face, whole_points
 
@@ -88,6 +91,42 @@ def test_landmarks_that_a_template_lacks_are_found() -> None:
     truth, marks = (whole_points(one)[_marks(one)] for one in (parts, found))
     assert len(np.unique(_marks(found))) == 68
     assert np.linalg.norm(marks - truth, axis=1).mean() < 2.0  # mm: edges of this mesh are 6
+
+
+def _turned(parts: FaceParts, degrees: float, times: float = 1.0) -> FaceParts:
+    """The face turned about the line between its ears, and larger, all of it."""
+    turn = np.eye(4)
+    turn[:3, :3] = times * Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+    meshes = tuple(replace(mesh, transform=turn @ mesh.transform) for mesh in parts.meshes)
+    return replace(parts, meshes=meshes, skeleton=replace(parts.skeleton, transform=turn @ parts.skeleton.transform))
+
+
+@pytest.mark.parametrize("make_head", [small_head.make, make])
+def test_a_template_is_upright_and_of_the_size_of_people(make_head: Callable[[], FaceParts]) -> None:
+    parts = small_head.lean(make_head())
+    with pytest.raises(InputError, match=r"^head: its face is turned by 90 degrees, expected upright"):
+        people_of(Template.of(_turned(parts, 90.0), "head"))
+    with pytest.raises(InputError, match=r"its face is 0.01 times as large as people's, expected 0.5 to 2"):
+        people_of(Template.of(_turned(parts, 0.0, 0.01), "head"))
+
+
+@pytest.mark.parametrize(("verb", "flag"), [("transfer", "--from"), ("conform", "--template")])
+def test_a_template_is_in_its_unit(verb: str, flag: str, tmp_path: Path, capsys: Capsys) -> None:
+    parts = small_head.lean(small_head.make())
+    save_parts(parts, tmp_path / "head.usda")
+    save_parts(replace(parts, meters_per_unit=1.0), tmp_path / "metres.usda")
+    words = (verb, tmp_path / "head.usda", flag, tmp_path / "metres.usda", "-o", tmp_path / "out.usda")
+    line = failed(capsys, *words, folder=tmp_path)
+    assert "metres.usda -> metersPerUnit: its face is 100 times as large as people's, expected 0.5 to 2" in line
+    assert "a unit of 1000 mm may be wrong (it would be in cm)" in line
+
+
+def test_a_template_may_look_down_and_be_a_child() -> None:
+    parts = small_head.lean(small_head.make())
+    marks = whole_points(parts)[_marks(parts)]
+    check_place(Template.of(_turned(parts, 25.0, 0.7), "child"), marks)
+    with pytest.raises(InputError, match="turned by 35 degrees"):
+        check_place(Template.of(_turned(parts, 35.0), "child"), marks)
 
 
 @pytest.mark.needs_torch
