@@ -28,6 +28,7 @@ from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
 _FEWEST = 6  # landmarks
 _MOST = 300_000  # points of skin: 225,000 take 43 s and 1.6 GB
+_SKIN_POINTS = 100  # pieces of fewer are no skin
 _LEVEL = 0.005  # of the size of the landmarks: how far apart levels of detail are
 _REACH = 0.05  # of the size of the landmarks: a mesh so far from one has it
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
@@ -123,6 +124,7 @@ class Head:
         elif own is not None:
             landmarks = own
         else:
+            _check_size(parts, where)
             from facepipe.pictures.surface_view import draw_surface
             from facepipe.scanning.landmarks import FindScanLandmarks
 
@@ -187,8 +189,7 @@ class Head:
                 chosen = int(other)
         found = np.flatnonzero(self.surface.component == chosen)
         if len(found) > _MOST:
-            what = f"its skin has {len(found):,} points, expected at most {_MOST:,}: lower its resolution first"
-            raise InputError(self.where, what)
+            raise _too_many(self.where, len(found))
         return found
 
     def whole(self, values: FloatArray) -> FloatArray:
@@ -235,6 +236,25 @@ class Head:
             colors=None if scan.colors is None else scan.colors[used],
             texture=None if scan.texture is None else scan.texture.on_triangles(shown),
         )
+
+
+def _check_size(parts: FaceParts, where: str) -> None:
+    """Refuse, before its landmarks are searched for 10 to 40 s, a head each piece of which has too many points.
+
+    Meshes are not sewn to one another here, as of levels of detail only one counts.
+
+    :raises InputError: more than can be fitted and carried to within a minute, whichever piece is the skin
+    """
+    if parts.point_count > _MOST:
+        sizes = np.bincount(surface_of(parts, where, range(len(parts.meshes))).component)
+        fewest = int(sizes[sizes >= _SKIN_POINTS].min(initial=parts.point_count))
+        if fewest > _MOST:
+            raise _too_many(where, fewest)
+
+
+def _too_many(where: str, count: int) -> InputError:
+    what = f"its skin has {count:,} points, expected at most {_MOST:,}: lower its resolution first"
+    return InputError(where, what)
 
 
 def _scan(parts: FaceParts, where: str) -> Scan:

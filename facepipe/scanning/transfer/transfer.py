@@ -16,7 +16,7 @@ from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
 from facepipe.core.threads import one_thread
 from facepipe.geometry.closest_points import closest_places, place_shares
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Recipe, Slider, all_regions
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Recipe, Slider, all_regions, exact
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
 from facepipe.scanning.rebuild.built_in_head import bare_head, with_inside_fitted
@@ -57,6 +57,7 @@ class TransferReport(Report):
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
     not_made: Mapping[str, str]  # shape -> why it can't be
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
+    still: tuple[str, ...] = ()  # meshes that no shape moves: hair, hats, glasses, clothes, helpers
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
     joints: int = 0
@@ -74,6 +75,7 @@ class TransferReport(Report):
             ("fit", f"mean {self.fit_mean_mm:.2f} mm, 95 % below {self.fit_p95_mm:.2f} mm"),
             ("beyond the model", f"mean {self.beyond_mm:.2f} mm"),
             ("shapes", f"{len(made)} made" + (f", {len(self.kept)} the head's own" if self.kept else "")),
+            *([("moved by no shape", ", ".join(self.still))] if self.still else []),
             *([("regions", ", ".join(self.regions))] if self.regions else []),
             *([("sliders", f"{len(self.sliders)}")] if self.sliders else []),
             *([("joints", f"{self.joints}")] if self.joints else []),
@@ -156,13 +158,16 @@ def transfer(
     if joints:
         fitted = AuthorNeutral().changed(body.parts, fit.place.undo(fit.points))
         SkinFace(source=Face.from_parts(fitted))(Face(face.stage, face.prim), recipe=recipe)
+    shown = head.whole(face_points)
+    by_mesh = np.split(shown, np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1])
     report = _report(parts, Face(face.stage, face.prim).parts(), head, skin, body, fit, made)
     return replace(
         report,
         kept=kept,
+        still=tuple(exact(mesh) for mesh, own in zip(parts.meshes, by_mesh, strict=True) if not own.any()),
         joints=report.joints if joints else 0,
         authored=authored.authored,
-        shown=head.whole(face_points),
+        shown=shown,
         warnings=(*notes, *report.warnings, *authored.warnings),
     )
 
