@@ -15,8 +15,8 @@ from facepipe.scanning.transfer.report_page import write_report
 from facepipe.scanning.transfer.transfer import TransferReport
 
 _HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
-_LIPS = {"gap_mean": 0.04, "gap_most": 0.18, "over_most": 0.3, "half_most": 0.1, "flips": 0}
-_LIDS = LidFigures(gap_mean=0.02, gap_most=0.31, in_ball=0.14, in_ball_neutral=0.12, flips=0)
+_LIPS = {"gap_mean": 0.04, "gap_most": 0.18, "over_most": 0.3, "half_most": 0.1, "lip_flips": 0}
+_LIDS = LidFigures(gap_mean=0.02, gap_most=0.31, in_ball=0.14, in_ball_neutral=0.12, lid_flips=0)
 
 
 def _report() -> TransferReport:
