@@ -290,7 +290,7 @@ def conform(
     :param landmark_sigma_mm: smaller ones hold landmarks harder against the surface [mm]
     :param reach_mm: points further from the scan don't follow it [mm]
     :param weight_sigma: how far the weight of a shape that the scan shows may be from the given one
-    :param template: face stage with multipie68 landmarks (default the built-in head)
+    :param template: face stage; landmarks that it lacks are found on it (default the built-in head)
     :param database: faces of the template's topology: .fpdb (default how people differ from the built-in head)
     :param landmarks: landmarks of the scan (default SCAN's .landmarks.json)
     :param weights: shapes that the scan shows besides the neutral, weights above 0 up to 2
@@ -482,7 +482,7 @@ def fit_neutral(
     :param landmark_sigma_mm: smaller ones hold landmarks harder against the surface [mm]
     :param reach_mm: points further from the scan don't follow it [mm]
     :param weight_sigma: how far the weight of a shape that the scan shows may be from the given one
-    :param template: face stage with multipie68 landmarks (default the built-in head)
+    :param template: face stage; landmarks that it lacks are found on it (default the built-in head)
     :param scan: scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos
     :param database: faces of the template's topology: .fpdb (default how people differ from the built-in head)
     :param landmarks: landmarks of the scan (default SCAN's .landmarks.json)
@@ -1216,7 +1216,7 @@ def transfer(
     """Give a head of others the shapes of a template: `facepipe transfer`.
 
     :param head: head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD
-    :param template: face of any topology with shapes and multipie68 landmarks (default the built-in head)
+    :param template: face of any topology with shapes; landmarks that it lacks are found on it (default the built-in head)
     :param landmarks: landmarks of the head (default HEAD's .landmarks.json)
     :param shapes: shapes of the template to bring (default ARKit's 52; all: every one)
     :param only: bring these alone

@@ -79,6 +79,8 @@ def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
     for name in ("points", "normals", "colors"):
         if getattr(mesh, name) is not None:
             _finite(f"{where} -> {name}", getattr(mesh, name))
+    for name, mask in mesh.regions.items():
+        _finite(f"{where} -> {name}", mask)
     _invertible(f"{where} -> transform", mesh.transform)
     if int(np.sum(mesh.face_vertex_counts)) != corners:
         what = f"{corners} indices, expected {int(np.sum(mesh.face_vertex_counts))}"

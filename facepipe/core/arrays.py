@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,8 @@ Float32Array = npt.NDArray[np.float32]
 ByteArray = npt.NDArray[np.uint8]
 AnyArray = npt.NDArray[Any]
 
+_LARGEST = float(np.finfo(np.float32).max)
+
 
 def require_finite(value: object, *where: str, error: type[FacepipeError] = InputError) -> None:
     """Walk dataclasses, mappings, sequences, arrays and numbers.
@@ -27,24 +29,52 @@ def require_finite(value: object, *where: str, error: type[FacepipeError] = Inpu
     :param where: the trail to `value`, for the message
     :raises error: the first NaN or infinity, with the names and fields on the way to it
     """
-    if _finite(value):  # quick: only where it is not, the way there is looked for
+    _require(_is_finite, (), value, where, error("", "NaN or infinity, expected finite numbers"))
+
+
+def require_float32(
+    value: object, *where: str, doubles: Collection[str] = (), error: type[FacepipeError] = InputError
+) -> None:
+    """The same walk for numbers that float32 makes infinity of, where files hold no more than that.
+
+    :param doubles: fields that are not walked, as files hold them in float64 or as text
+    :raises error: the first number beyond float32, NaN or infinity
+    """
+    _require(_is_float32, doubles, value, where, error("", "NaN, infinity or beyond float32, expected finite numbers"))
+
+
+def _require(
+    sound: Callable[[Any], bool], skipped: Collection[str], value: object, where: tuple[str, ...], error: FacepipeError
+) -> None:
+    if _all_sound(sound, skipped, value):  # quick: only where it is not, the way there is looked for
         return
-    for trail in _culprits(value):
-        raise error(" -> ".join([*where, *trail]) or "value", "NaN or infinity, expected finite numbers")
+    for trail in _culprits(sound, skipped, value):
+        raise type(error)(" -> ".join([*where, *trail]) or "value", error.what)
 
 
-def _finite(value: Any) -> bool:
-    if isinstance(value, float | np.floating):
-        return math.isfinite(value)
+def _is_finite(number: Any) -> bool:
+    if isinstance(number, np.ndarray):
+        return number.dtype.kind not in "fc" or bool(np.isfinite(number).all())
+    return math.isfinite(number)
+
+
+def _is_float32(number: Any) -> bool:
+    if isinstance(number, np.ndarray) and number.dtype.kind == "f" and number.dtype.itemsize > 4:
+        return not number.size or bool(number.min() >= -_LARGEST and number.max() <= _LARGEST)
+    return _is_finite(number) if isinstance(number, np.ndarray) else bool(abs(number) <= _LARGEST)
+
+
+def _all_sound(sound: Callable[[Any], bool], skipped: Collection[str], value: Any) -> bool:
+    if isinstance(value, float | np.floating | np.ndarray):
+        return sound(value)
     if isinstance(value, str | bytes | int | None):
         return True
-    if isinstance(value, np.ndarray):
-        return value.dtype.kind not in "fc" or bool(np.isfinite(value).all())
     if isinstance(value, tuple | list):
-        return all(map(_finite, value))
+        return all(_all_sound(sound, skipped, one) for one in value)
     if isinstance(value, Mapping):
-        return all(map(_finite, value.values()))
-    return all(_finite(getattr(value, name)) for name in _field_names(value.__class__))
+        return all(_all_sound(sound, skipped, one) for one in value.values())
+    names = (name for name in _field_names(value.__class__) if name not in skipped)
+    return all(_all_sound(sound, skipped, getattr(value, name)) for name in names)
 
 
 @functools.cache
@@ -52,19 +82,16 @@ def _field_names(kind: type) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
 
 
-def _culprits(value: object) -> Iterator[tuple[str, ...]]:
+def _culprits(sound: Callable[[Any], bool], skipped: Collection[str], value: object) -> Iterator[tuple[str, ...]]:
     if isinstance(value, str | bytes | int | None):
         return
-    if isinstance(value, float | np.floating):
-        if not math.isfinite(value):
-            yield ()
-    elif isinstance(value, np.ndarray):
-        if value.dtype.kind in "fc" and not np.isfinite(value).all():
+    if isinstance(value, float | np.floating | np.ndarray):
+        if not sound(value):
             yield ()
     else:
         inside: list[tuple[str, object]] = []
         if dataclasses.is_dataclass(value):
-            for field in dataclasses.fields(value):
+            for field in (one for one in dataclasses.fields(value) if one.name not in skipped):
                 inner = getattr(value, field.name)
                 named = isinstance(inner, tuple) and inner and _name(inner[0])
                 inside.append(("" if named else field.name, inner))  # of a named tuple the name, not the number
@@ -73,7 +100,7 @@ def _culprits(value: object) -> Iterator[tuple[str, ...]]:
         elif isinstance(value, tuple | list):
             inside += [(_name(inner), inner) for inner in value]
         for label, inner in inside:
-            for trail in _culprits(inner):
+            for trail in _culprits(sound, skipped, inner):
                 yield (label, *trail) if label else trail
 
 

@@ -1,6 +1,7 @@
 """A folder of OBJ files on one topology: a neutral, one file a shape, and landmarks from a JSON file beside.
 
-Points keep their order, faces their corners; UVs, material groups with their .mtl, and vertex colours come along.
+Points keep their order, faces their corners; UVs, material groups with their .mtl, and vertex colours (sRGB in files)
+come along. Of other groups (`g`) that part a mesh a warning gives the names.
 Normals are left out: they'd belong to the neutral alone.
 """
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import handles
+from facepipe.core.names import first_names, handles
 from facepipe.core.reading import file_beside, files_in, read_json
 from facepipe.declare import check_ranges
 from facepipe.importers.options import ObjOptions
@@ -148,6 +149,11 @@ def _meshes(
     used = sum(len(own) for _, own, _ in pieces)
     if used < len(neutral.points):
         warnings.append(f"{len(neutral.points) - used} points belong to no face of an object, left out")
+    groups = [np.unique(neutral.face_group[faces]) for _, _, faces in pieces]
+    parted = np.unique(np.concatenate([one[one >= 0] for one in groups if len(one) > 1] or [np.zeros(0, np.int32)]))
+    if len(parted):
+        named = first_names([neutral.groups[number] for number in parted], 6)
+        warnings.append(f"groups (g lines) of faces of one mesh, left out: {named}")
     meshes = []
     for name, (_, own, faces) in zip(names, pieces, strict=True):
         corners = face_corners(neutral.face_vertex_counts, faces)
@@ -159,7 +165,7 @@ def _meshes(
                 face_vertex_counts=neutral.face_vertex_counts[faces],
                 face_vertex_indices=np.searchsorted(own, neutral.face_vertex_indices[corners]).astype(np.int32),
                 uv_sets=uv_sets,
-                colors=np.clip(neutral.colors[own], 0.0, 1.0) if neutral.colors is not None else None,
+                colors=None if neutral.colors is None else neutral.colors[own],
                 blendshapes=sparse_shapes(shapes, own, options.threshold),
                 landmarks={
                     scheme: replace(marks, indices=np.searchsorted(own, marks.indices).astype(np.int32))

@@ -144,11 +144,9 @@ def read_scan(path: Path) -> Scan:
 
 
 def _read_obj(path: Path) -> Scan:
-    obj, colors = read_obj(path), None
-    if obj.colors is not None:  # files hold sRGB, most in 0..1 and some in 0..255
-        colors = from_srgb(np.clip(obj.colors / (255.0 if obj.colors.max() > 1.0 else 1.0), 0.0, 1.0))
+    obj = read_obj(path)
     if not len(obj.face_vertex_counts):
-        return Scan(name=path.stem, points=obj.points, colors=colors)
+        return Scan(name=path.stem, points=obj.points, colors=obj.colors)
     library = read_materials(path, obj.libraries)
     mesh = Mesh(
         name="Scan",
@@ -156,7 +154,7 @@ def _read_obj(path: Path) -> Scan:
         face_vertex_counts=obj.face_vertex_counts,
         face_vertex_indices=obj.face_vertex_indices,
         uv_sets=() if obj.uv_indices is None else (UvSet(values=obj.uvs, indices=obj.uv_indices),),
-        colors=colors,
+        colors=obj.colors,
         material_faces=material_faces(obj.materials, obj.face_material),
     )
     materials = {name: one for name, one in library.materials.items() if name in obj.materials}

@@ -21,6 +21,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import is_file, read_bytes
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import Blendshape, Material, Texture, TextureInput, UvSet
 
 MAX_BYTES = 1 << 30
@@ -60,7 +61,7 @@ class Obj:
     face_vertex_indices: IntArray  # (corners,) int32
     uvs: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))  # (u, 2) float64
     uv_indices: IntArray | None = None  # (corners,) int32; None where a corner of the file has none
-    colors: FloatArray | None = None  # (n, 3) the numbers after x y z, where every point has them
+    colors: FloatArray | None = None  # (n, 3) linear 0..1 of the numbers after x y z, where every point has them
     objects: tuple[str, ...] = ()  # names of `o` lines
     face_object: IntArray = field(default_factory=lambda: np.zeros(0, np.int32))  # (f,) -1: before the first `o`
     groups: tuple[str, ...] = ()  # names of `g` lines
@@ -104,7 +105,7 @@ def read_obj(path: Path) -> Obj:
         face_vertex_indices=indices,
         uvs=uvs,
         uv_indices=uv_indices,
-        colors=np.ascontiguousarray(values[:, -3:]) if values.shape[1] in (6, 7) else None,
+        colors=_colors(values[:, -3:]) if values.shape[1] in (6, 7) else None,
         objects=objects,
         face_object=face_object,
         groups=groups,
@@ -113,6 +114,12 @@ def read_obj(path: Path) -> Obj:
         face_material=face_material,
         libraries=tuple(dict.fromkeys(text.strip() for text in lines.records["mtllib"][1] if text.strip())),
     )
+
+
+def _colors(written: FloatArray) -> FloatArray:
+    """(n, 3) linear light of what files hold: sRGB, most in 0..1 and some in 0..255."""
+    largest = 255.0 if written.max() > 1.0 else 1.0
+    return from_srgb(np.clip(written / largest, 0.0, 1.0))
 
 
 def read_text(path: Path) -> str:

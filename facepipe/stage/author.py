@@ -9,7 +9,6 @@ from pathlib import Path
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import __version__, tokens
-from facepipe.core.arrays import require_finite
 from facepipe.core.atomic import together
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.core.policy.bounds import check_counts
@@ -31,12 +30,14 @@ from facepipe.stage.skeleton import (
 )
 from facepipe.stage.sliders import author_slider_network, author_sliders, check_face_network, check_sliders
 from facepipe.stage.textures import TextureFolder, texture_home
+from facepipe.stage.values import require_writable
 
 
 def save_parts(parts: FaceParts, path: str | os.PathLike[str]) -> None:
     """Author a face and save it, atomically; textures go to ``<stem>_textures/`` beside it, or into the .usdz.
 
-    :raises InputError: a suffix that is not USD, a folder that can't be written, or NaN in the parts
+    :raises InputError: a suffix that is not USD, a folder that can't be written, or NaN, infinity or
+        numbers beyond float32 in the parts
     """
     target = Path(path)
     check_suffix(target)
@@ -69,7 +70,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     }
     check_counts(parts.name, counts)
     check_variants(parts.name, len(parts.variants), sum(1 + len(mesh.material_faces) for mesh in parts.meshes))
-    require_finite(parts, parts.name)
+    require_writable(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
     path = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}").GetPath()
     prim = stage.GetPrimAtPath(path)

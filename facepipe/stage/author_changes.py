@@ -11,7 +11,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray, require_finite
+from facepipe.core.arrays import FloatArray, require_float32
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import FaceParts, Mesh, Recipe, Slider
@@ -29,7 +29,7 @@ from facepipe.stage.prims import check_property_name, editable, prims_below, put
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.skeleton import author_animation_changes, author_limits, author_recipe, vrm_text
 from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders
-from facepipe.stage.values import matrix, require_same, same, to_matrices
+from facepipe.stage.values import matrix, require_same, require_writable, same, to_matrices
 
 
 def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ def author_mesh_in_place(face: Face, mesh: Mesh) -> None:
 
     :raises InputError: no mesh of that name, or one with another transform, material or texture coordinates by name
     """
-    require_finite(mesh, face.where)
+    require_writable(mesh, face.where)
     prim = face.mesh_prim(mesh.name)
     old = next(candidate for candidate in face.meshes if candidate.name == mesh.name)
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
@@ -133,7 +133,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
     :raises TopologyError: other meshes, joints, points or faces, or not one bind and rest transform per joint
     :raises InputError: NaN, a difference in a field that stays as it is, or joint paths that are not parent first
     """
-    require_finite(new, face.where)
+    require_writable(new, face.where)
     names = [[mesh.name for mesh in parts.meshes] for parts in (old, new)]
     if names[0] != names[1]:
         raise TopologyError(face.where, f"meshes {', '.join(names[1])}, expected {', '.join(names[0])}")
@@ -169,8 +169,8 @@ def _per_mesh(face: Face, name: str, values: FloatArray) -> list[FloatArray]:
         raise InputError(f"{face.where} -> {name}", f"values of shape {np.shape(values)}, expected ({sum(sizes)},)")
     split = np.split(np.asarray(values), np.cumsum(sizes)[:-1])
     for mesh, own in zip(face.meshes, split, strict=True):
-        if not np.isfinite(own).all() and not np.isnan(own).all():
-            raise InputError(f"{face.where} -> {mesh.name} -> {name}", "NaN or infinity, expected finite numbers")
+        if not np.isnan(own).all():
+            require_float32(own, face.where, mesh.name, name)
     return split
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Gf, Tf, Vt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray, require_finite, require_float32
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 
 Reader = TypeVar("Reader", bound=Callable[..., Any])
@@ -97,6 +97,19 @@ def require_same(where: object, old: object, new: object, fields: Iterable[str])
     for field in fields:
         if not same(getattr(old, field), getattr(new, field)):
             raise InputError(f"{where} -> {field}", "differs, expected as on the face")
+
+
+# Fields of parts that a stage holds in float64, or as JSON text.
+_DOUBLES = (
+    *("transform", "geom_bind_transform", "bind_transforms", "rest_transforms", "times"),
+    *("meters_per_unit", "frames_per_second", "options", "info", "vrm"),
+)
+
+
+def require_writable(parts: object, where: str) -> None:
+    """:raises InputError: NaN, infinity, or what a stage would hold as infinity, with the trail there"""
+    require_finite(parts, where)
+    require_float32(parts, where, doubles=_DOUBLES)
 
 
 def floats(value: Any, width: int | None = None) -> npt.NDArray[np.float32]:

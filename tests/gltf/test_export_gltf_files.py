@@ -230,6 +230,7 @@ def broken(name: str) -> FaceParts:
     half = shape.inbetweens[0]
     changes: dict[str, Callable[[], FaceParts]] = {
         "points": lambda: with_head(face, points=spoiled(head.points)),
+        "Head -> chin": lambda: with_head(face, regions={"chin": np.full(len(head.points), 1e39)}),
         "Head -> transform": lambda: with_head(face, transform=np.diag([1e200, 1.0, 1.0, 1.0])),
         "beyond float32 in metres": lambda: with_head(
             face, skin=None, transform=np.diag([1e30, 1e30, 1e30, 1.0]), points=head.points * 1e20
@@ -270,6 +271,7 @@ def broken(name: str) -> FaceParts:
     "name",
     [
         "points",
+        "Head -> chin",
         "Head -> transform",
         "beyond float32 in metres",
         "jointWeights",

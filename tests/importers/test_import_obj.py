@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -12,8 +13,10 @@ from import_data import damaged, refused
 from obj_files import MTL, NEUTRAL, PNG
 
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.colors import to_srgb
 from facepipe.importers import load
 from facepipe.importers.obj import Options, read
+from facepipe.importers.scan_file import read_scan
 from facepipe.importers.wavefront import read_obj
 
 
@@ -175,7 +178,8 @@ def test_forms_of_lines(tmp_path: Path) -> None:
     obj = read_obj(file)
     assert obj.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
     assert obj.colors is not None
-    assert obj.colors.tolist() == [[1, 0.5, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
+    half = ((0.5 + 0.055) / 1.055) ** 2.4  # in files colours are sRGB
+    assert obj.colors.tolist() == [[1, pytest.approx(half), 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]
     assert obj.uvs.tolist() == [[0.5, 0], [0.25, 0.75]]
     assert obj.uv_indices is None
     assert obj.face_vertex_indices.tolist() == [0, 1, 2, 1, 3, 2]
@@ -183,6 +187,31 @@ def test_forms_of_lines(tmp_path: Path) -> None:
     uv_indices = read_obj(file).uv_indices
     assert uv_indices is not None
     assert uv_indices.tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("white", [1, 255])
+def test_colours_are_those_of_a_scan(tmp_path: Path, white: int) -> None:
+    rows = [f"v {i} {i % 2} 0 {white * i / 4} {white * (1 - i / 4)} {white}" for i in range(5)]
+    file = tmp_path / "face.obj"
+    file.write_text("\n".join([*rows, "f 1 2 3", "f 3 4 5"]))
+    (mesh,) = load("obj", file).parts.meshes
+    levels = np.arange(5) / 4
+    assert mesh.colors is not None
+    np.testing.assert_allclose(to_srgb(mesh.colors), np.c_[levels, 1 - levels, np.ones(5)], atol=1e-9)
+    np.testing.assert_array_equal(mesh.colors, read_scan(file).colors)
+
+
+def test_groups_that_part_a_mesh_are_named(tmp_path: Path) -> None:
+    rows = [f"v {i} {i % 2} {i // 3}" for i in range(6)]
+    file, faces = tmp_path / "face.obj", ("f 1 2 3", "f 4 5 6")
+    file.write_text("\n".join([*rows, "g lips", faces[0], "g chin", faces[1]]))
+    assert load("obj", file).warnings == ("groups (g lines) of faces of one mesh, left out: lips, chin",)
+    file.write_text("\n".join([*rows, "g default", *faces]))
+    assert load("obj", file).warnings == ()
+    file.write_text("\n".join([*rows, "o Lips", "g lips", faces[0], "o Chin", "g chin", faces[1]]))
+    imported = load("obj", file)
+    assert imported.warnings == ()
+    assert [mesh.name for mesh in imported.parts.meshes] == ["Lips", "Chin"]
 
 
 def test_line_numbers_stay_true_after_continued_lines(tmp_path: Path) -> None:

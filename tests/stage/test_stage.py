@@ -22,6 +22,7 @@ import facepipe
 from facepipe import parts as p
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.stage import save_parts
+from facepipe.stage.author_changes import author_changes
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd", ".usdz"])
@@ -172,6 +173,67 @@ def test_nan_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="Tiny -> Head -> points: NaN or infinity, expected finite"):
         save_parts(bad, tmp_path / "face.usda")
     assert not list(tmp_path.iterdir())
+
+
+def _with_number(number: float, place: str) -> p.FaceParts:
+    """A face that holds it in its first mesh, its first shape, an inbetween or a slider."""
+    parts = tiny_face()
+    head = parts.meshes[0]
+    shape = head.blendshapes[0]
+    between = shape.inbetweens[0]
+
+    def first(values: object) -> np.ndarray:
+        changed = np.array(values, np.float64)
+        changed.flat[0] = number
+        return changed
+
+    def reshaped(**fields: object) -> p.Mesh:
+        return replace_mesh(head, blendshapes=(replace(shape, **fields),))  # type: ignore[arg-type]
+
+    count = len(head.points)
+    mesh = {
+        "points": lambda: replace_mesh(head, points=first(head.points)),
+        "normals": lambda: replace_mesh(head, normals=first(np.ones((count, 3)))),
+        "colors": lambda: replace_mesh(head, colors=first(np.ones((count, 3)))),
+        "regions -> chin": lambda: replace_mesh(head, regions={"chin": first(np.ones(count))}),
+        "jawOpen -> offsets": lambda: reshaped(offsets=first(shape.offsets)),
+        "jawOpen -> normal_offsets": lambda: reshaped(normal_offsets=first(shape.normal_offsets)),
+        "jawOpen -> half -> offsets": lambda: reshaped(inbetweens=(replace(between, offsets=first(between.offsets)),)),
+        "jawOpen -> half -> weight": lambda: reshaped(inbetweens=(replace(between, weight=number),)),
+        "transform": lambda: replace_mesh(head, transform=first(np.eye(4))),
+    }[place]()
+    return replace(parts, meshes=(mesh,))
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        "points",
+        "normals",
+        "colors",
+        "regions -> chin",
+        "jawOpen -> offsets",
+        "jawOpen -> normal_offsets",
+        "jawOpen -> half -> offsets",
+        "jawOpen -> half -> weight",
+    ],
+)
+def test_what_float32_makes_infinity_of_is_refused(tmp_path: Path, place: str) -> None:
+    save_parts(_with_number(0.5, place), tmp_path / "base.usda")
+    bad = _with_number(-1e39, place)
+    with pytest.raises(InputError, match=f"^Tiny -> Head -> {place}: NaN, infinity or beyond float32"):
+        save_parts(bad, tmp_path / "face.usda")
+    with (
+        pytest.raises(InputError, match=f"-> Head -> {place}: NaN, infinity or beyond float32"),
+        facepipe.open(tmp_path / "base.usda").deriving(tmp_path / "over.usda") as face,
+    ):
+        author_changes(face, replace(face.parts(), meshes=bad.meshes))
+    assert [path.name for path in tmp_path.iterdir()] == ["base.usda"]
+
+
+def test_transforms_are_float64_in_files(tmp_path: Path) -> None:
+    save_parts(_with_number(1e39, "transform"), tmp_path / "face.usda")
+    assert facepipe.open(tmp_path / "face.usda").meshes[0].transform[0, 0] == 1e39
 
 
 @pytest.mark.parametrize("source", [".usdc", ".usdz"])

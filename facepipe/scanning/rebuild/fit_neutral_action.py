@@ -51,7 +51,7 @@ class TemplateAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralR
     """Base of the actions that put a template's neutral on something."""
 
     template: Path | None = source(
-        "face stage with multipie68 landmarks (default the built-in head)",
+        "face stage; landmarks that it lacks are found on it (default the built-in head)",
         default=None,
         flag="--template",
         metavar="FACE",
@@ -106,24 +106,22 @@ class FittingAction(TemplateAction):
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.scanning.database import QualityLimits, load_database, misses
-        from facepipe.scanning.rebuild.built_in_head import bare_head, people, settled, with_inside_fitted
+        from facepipe.scanning.rebuild.built_in_head import bare_head, settled, with_inside_fitted
         from facepipe.scanning.rebuild.fit_neutral import are_sealed, fit_neutral, shut_eyes, with_sealed_lips
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
-        from facepipe.scanning.transfer.people import people_on
+        from facepipe.scanning.transfer.marks import with_landmarks
+        from facepipe.scanning.transfer.people import people_of
         from facepipe.verbs.author_neutral import AuthorNeutral
 
-        parts = face.parts()
-        template, own = Template.of(parts, str(self.template or face.where)), bare_head(parts)
-        if self.database is not None:
-            database = load_database(self.database)
-        elif own is not None:
-            database = people(own)
-        else:
-            database = people_on(template)
+        where = str(self.template or face.where)
+        with job.watch("template", 1) as bar:
+            parts, found = with_landmarks(face.parts(), where)
+            bar.update()
+        template, own = Template.of(parts, where), bare_head(parts)
         # Fitted without hair and lashes, which go with the skin after it.
-        body = template.body(database.topology)
+        body, database = people_of(template, None if self.database is None else load_database(self.database))
         scan, landmarks, notes, photos = self.given(job)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.fitted), job.watch("fit", _STEPS) as bar:
@@ -143,7 +141,7 @@ class FittingAction(TemplateAction):
         missed = misses(report.quality, QualityLimits())
         return replace(
             report,
-            warnings=(*notes, *report.warnings, *authored.warnings, *baked.warnings, *missed),
+            warnings=(*found, *notes, *report.warnings, *authored.warnings, *baked.warnings, *missed),
             missed=missed,
             picture=partial(
                 draw_face_on_scan, template=template, points=shown, scan=scan, place=place, neutral=neutral

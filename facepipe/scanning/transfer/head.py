@@ -28,6 +28,7 @@ from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points
 _BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
 _FEWEST = 6  # landmarks
 _MOST = 300_000  # points of skin: 225,000 take 43 s and 1.6 GB
+_SKIN_POINTS = 100  # pieces of fewer are no skin
 _LEVEL = 0.005  # of the size of the landmarks: how far apart levels of detail are
 _REACH = 0.05  # of the size of the landmarks: a mesh so far from one has it
 _OFF = 0.15  # of the size of the landmarks: those of the head itself, found or by hand, are 0.001 to 0.03 off
@@ -112,7 +113,7 @@ class Head:
         :raises FacepipeError: a file that can't be used, or no landmarks found
         """
         points, source, notes = whole_points(parts), "the head's own", tuple[str, ...]()
-        own = _own_landmarks(parts, points)
+        own = held_landmarks(parts, points)
         if given is not None:
             from facepipe.importers.scan_landmarks import read_scan_landmarks
 
@@ -123,6 +124,7 @@ class Head:
         elif own is not None:
             landmarks = own
         else:
+            _check_size(parts, where)
             from facepipe.pictures.surface_view import draw_surface
             from facepipe.scanning.landmarks import FindScanLandmarks
 
@@ -187,8 +189,7 @@ class Head:
                 chosen = int(other)
         found = np.flatnonzero(self.surface.component == chosen)
         if len(found) > _MOST:
-            what = f"its skin has {len(found):,} points, expected at most {_MOST:,}: lower its resolution first"
-            raise InputError(self.where, what)
+            raise _too_many(self.where, len(found))
         return found
 
     def whole(self, values: FloatArray) -> FloatArray:
@@ -237,6 +238,25 @@ class Head:
         )
 
 
+def _check_size(parts: FaceParts, where: str) -> None:
+    """Refuse, before its landmarks are searched for 10 to 40 s, a head each piece of which has too many points.
+
+    Meshes are not sewn to one another here, as of levels of detail only one counts.
+
+    :raises InputError: more than can be fitted and carried to within a minute, whichever piece is the skin
+    """
+    if parts.point_count > _MOST:
+        sizes = np.bincount(surface_of(parts, where, range(len(parts.meshes))).component)
+        fewest = int(sizes[sizes >= _SKIN_POINTS].min(initial=parts.point_count))
+        if fewest > _MOST:
+            raise _too_many(where, fewest)
+
+
+def _too_many(where: str, count: int) -> InputError:
+    what = f"its skin has {count:,} points, expected at most {_MOST:,}: lower its resolution first"
+    return InputError(where, what)
+
+
 def _scan(parts: FaceParts, where: str) -> Scan:
     """All meshes as one scan, in the space of whole points."""
     pairs = zip(parts.meshes, to_millimetres(parts), strict=True)
@@ -263,7 +283,8 @@ def _layers(parts: FaceParts, points: FloatArray, landmarks: ScanLandmarks) -> l
     return [0 if not layer else sum(layers[:number]) for number, layer in enumerate(layers)]
 
 
-def _own_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:
+def held_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:
+    """Those of a face at its whole points (n, 3); None: it has none."""
     start = 0
     for mesh in parts.meshes:
         own = mesh.landmarks.get(LANDMARK_SCHEME)

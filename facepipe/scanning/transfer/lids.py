@@ -114,7 +114,7 @@ class LidFigures:
     gap_most: float
     in_ball: float  # the deepest that skin which is seen in the neutral lies in the eyeball
     in_ball_neutral: float  # and how deep at rest
-    flips: int  # triangles seen in the neutral that turn over
+    lid_flips: int  # triangles of the lids, seen in the neutral, that turn over
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +123,6 @@ class Blink:
 
     delta: FloatArray  # (n, 3) mm
     inbetweens: Mapping[float, FloatArray]  # weight -> (n, 3) mm
-    figures: LidFigures
 
 
 def eye_frame(landmarks: FloatArray, side: str) -> tuple[FloatArray, FloatArray, float]:
@@ -308,7 +307,7 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
         whole = share * delta
         whole[near] = _lifted(eye, chord + follow[:, None] * (arc - chord), floor) - start
         inbetweens[share] = whole
-    return Blink(delta=delta, inbetweens=inbetweens, figures=lid_figures(points, delta, triangles, eye))
+    return Blink(delta=delta, inbetweens=inbetweens)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -524,7 +523,7 @@ def lid_figures(points: FloatArray, delta: FloatArray, triangles: IntArray, eye:
         gap_most=float(gaps.max(initial=0.0)),
         in_ball=float(-after.min(initial=0.0)) if ball else 0.0,
         in_ball_neutral=float(-before.min(initial=0.0)) if ball else 0.0,
-        flips=int(flipped_triangles(points, ended, seen).sum()),
+        lid_flips=int(flipped_triangles(points, ended, seen).sum()),
     )
 
 

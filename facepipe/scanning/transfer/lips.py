@@ -44,7 +44,7 @@ class LipFigures:
     gap_most: float
     over_most: float  # how far they cross, beyond what they do in the neutral
     half_most: float  # the widest gap with both at 0.5
-    flips: int  # triangles of the lips that face forwards at rest and turn over
+    lip_flips: int  # triangles of the lips that face forwards at rest and turn over
 
 
 class Rim(NamedTuple):
@@ -238,7 +238,7 @@ def figures(
         gap_most=float(whole.max(initial=0.0)),
         over_most=float((np.minimum(rest, 0.0) - whole).max(initial=0.0)),
         half_most=float(middle.max(initial=0.0)),
-        flips=int(flipped_triangles(points, points + jaw + close, lips.seen(points)).sum()),
+        lip_flips=int(flipped_triangles(points, points + jaw + close, lips.seen(points)).sum()),
     )
 
 

@@ -42,6 +42,8 @@ def _content(name: str, report: TransferReport, made: int) -> Iterator[Markup]:
     if lips is not None:
         gaps = f"{lips['gap_mean']:.2f} mm, largest {lips['gap_most']:.2f}"
         facts.append(f"lips with jawOpen and mouthClose: mean gap {gaps}, crossing {lips['over_most']:.2f}")
+    if report.still:
+        facts.append(f"moved by no shape: {', '.join(report.still)}")
     yield tag("p", "  ·  ".join(facts), class_="muted")
     yield from (tag("p", warning, class_="bad") for warning in report.warnings)
     yield heading("Shapes", f"{made} made, {len(report.not_made)} can't be made, {len(report.kept)} the head's own")

@@ -16,10 +16,10 @@ from facepipe.core.names import unknown
 from facepipe.core.reports import Report, not_in_json, table
 from facepipe.core.threads import one_thread
 from facepipe.geometry.closest_points import closest_places, place_shares
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Recipe, Slider, all_regions
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Recipe, Slider, all_regions, exact
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe.scanning.database import FaceDatabase, QualityLimits, misses
-from facepipe.scanning.rebuild.built_in_head import bare_head, people, with_inside_fitted
+from facepipe.scanning.rebuild.built_in_head import bare_head, with_inside_fitted
 from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.carry import carried
@@ -27,9 +27,9 @@ from facepipe.scanning.transfer.companions import motion_of
 from facepipe.scanning.transfer.finish import MADE, Finished, ShapeVerdict, finished
 from facepipe.scanning.transfer.fit import HeadFit, fit_head
 from facepipe.scanning.transfer.head import Head
-from facepipe.scanning.transfer.people import people_on
+from facepipe.scanning.transfer.marks import with_landmarks, with_marks
+from facepipe.scanning.transfer.people import people_of
 from facepipe.scanning.transfer.pieces import EYE_LEFT, EYE_RIGHT, HELPER, STILL, outer_skin, pieces_of
-from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.skin.skin_face import SkinFace
@@ -42,7 +42,6 @@ _Moves = TypeVar("_Moves")
 _RANGE = QualityLimits(max_surface_mean_mm=0.6, max_surface_p95_mm=2.0, min_coverage=0.5, max_flipped_triangles=200)
 _BEYOND_MM, _DEVIATIONS, _LANDMARKS_MM = 6.0, 8.0, 3.0
 _ODD_SIZE = 0.5  # logarithm: children's faces are 0.3 smaller
-_CANDIDATES = 30  # points of the head that may stand for a landmark: enough that no two take the same
 KINDS = ("shapes", "regions", "landmarks", "sliders")
 
 
@@ -58,6 +57,7 @@ class TransferReport(Report):
     shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
     not_made: Mapping[str, str]  # shape -> why it can't be
     kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
+    still: tuple[str, ...] = ()  # meshes that no shape moves: hair, hats, glasses, clothes, helpers
     regions: tuple[str, ...] = ()
     sliders: tuple[str, ...] = ()
     joints: int = 0
@@ -75,6 +75,7 @@ class TransferReport(Report):
             ("fit", f"mean {self.fit_mean_mm:.2f} mm, 95 % below {self.fit_p95_mm:.2f} mm"),
             ("beyond the model", f"mean {self.beyond_mm:.2f} mm"),
             ("shapes", f"{len(made)} made" + (f", {len(self.kept)} the head's own" if self.kept else "")),
+            *([("moved by no shape", ", ".join(self.still))] if self.still else []),
             *([("regions", ", ".join(self.regions))] if self.regions else []),
             *([("sliders", f"{len(self.sliders)}")] if self.sliders else []),
             *([("joints", f"{self.joints}")] if self.joints else []),
@@ -138,7 +139,7 @@ def transfer(
     if joints and parts.skeleton.joints:
         what = f"the head has {len(parts.skeleton.joints)} joints of its own, expected none"
         raise InputError(f"{face.where} -> --joints", what)
-    body, database = _template(template)
+    body, database, notes = template_in(template)
     names, kept = wanted_shapes(body.parts, parts, shapes, anew=anew)
     head = Head.of(parts, face.where, landmarks)
     skin, wanted = head.skin(), only or KINDS
@@ -157,14 +158,17 @@ def transfer(
     if joints:
         fitted = AuthorNeutral().changed(body.parts, fit.place.undo(fit.points))
         SkinFace(source=Face.from_parts(fitted))(Face(face.stage, face.prim), recipe=recipe)
+    shown = head.whole(face_points)
+    by_mesh = np.split(shown, np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1])
     report = _report(parts, Face(face.stage, face.prim).parts(), head, skin, body, fit, made)
     return replace(
         report,
         kept=kept,
+        still=tuple(exact(mesh) for mesh, own in zip(parts.meshes, by_mesh, strict=True) if not own.any()),
         joints=report.joints if joints else 0,
         authored=authored.authored,
-        shown=head.whole(face_points),
-        warnings=(*report.warnings, *authored.warnings),
+        shown=shown,
+        warnings=(*notes, *report.warnings, *authored.warnings),
     )
 
 
@@ -353,21 +357,18 @@ def whole_shapes(
     return replace(made, deltas=back(made.deltas), inbetweens=between), face_points
 
 
-def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
-    """The template, of the built-in head's topology without hair and lashes, and who its people may be.
+def template_in(path: Path | None) -> tuple[Template, FaceDatabase, tuple[str, ...]]:
+    """The template, of the built-in head's topology without hair and lashes, who its people may be, and warnings.
 
-    :raises FacepipeError: a file that can't be used, or a face without landmarks or that is like none of people
+    :raises FacepipeError: a file that can't be used, or a face on which no landmarks are found or that is like none of
+        people
     """
     from facepipe.heads import make
     from facepipe.importers import read_face
 
-    parts, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
-    own = bare_head(parts)
-    template = Template.of(parts, where)
-    if own is None:
-        return template, people_on(template)
-    database = people(own)
-    return template.body(database.topology), database
+    given, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
+    parts, notes = with_landmarks(given, where)
+    return *people_of(Template.of(parts, where)), notes
 
 
 def _settled(
@@ -391,19 +392,13 @@ def _settled(
         for name, mask in carried.items():
             for own, part in zip(masks, np.split(mask, splits), strict=True):
                 own[name] = part
-    # of the mesh that has most of the skin: landmarks of a scheme lie on one mesh
-    on_skin = np.isin(head.surface.group, skin)
-    chosen = int(np.argmax([part.sum() for part in np.split(on_skin, splits)]))
-    start = int(np.sum(counts[:chosen]))
-    rows = start + np.flatnonzero(on_skin[start : start + counts[chosen]])
     meshes = [replace(mesh, regions=own or mesh.regions) for mesh, own in zip(changed.meshes, masks, strict=True)]
     meshes = [
         replace(mesh, blendshapes=tuple(_between(shape, head, number, between) for shape in mesh.blendshapes))
         for number, mesh in enumerate(meshes)
     ]
     if "landmarks" in wanted and (anew or not any(mesh.landmarks for mesh in meshes)):
-        marked = meshes[chosen] if not anew else replace(meshes[chosen], anchor=None)
-        meshes[chosen] = _marked(marked, body, fit.points, places[rows], rows - start)
+        meshes = with_marks(meshes, head, skin, body, fit, anew=anew)
     known = {name for mesh in meshes for name in (shape.name for shape in mesh.blendshapes)}
     sliders = {one.name: one for one in changed.sliders}
     made = [_by_shapes(one) for one in body.sliders if "sliders" in wanted and (anew or one.name not in sliders)]
@@ -428,25 +423,6 @@ def _between(shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Map
     return replace(shape, inbetweens=inbetweens)
 
 
-def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray, own: IntArray) -> Mesh:
-    """The mesh with the template's landmarks, and its anchor where the mesh has none.
-
-    :param points: (n, 3) whole points of the template, lying on the head
-    :param places: (k, 3) of the mesh's points `own` (k,), in the same space
-    """
-    landmarks, anchor, start = dict(mesh.landmarks), mesh.anchor, 0
-    for part in body.meshes:
-        for scheme, marks in part.landmarks.items():
-            chosen = own[own_points(points[start + marks.indices], places)]
-            if scheme == LANDMARK_SCHEME:
-                landmarks[scheme] = Landmarks(indices=chosen.astype(np.int32), names=marks.names)
-        if part.anchor is not None and mesh.anchor is None:
-            nearest = np.linalg.norm(places - points[start + part.anchor], axis=1).argmin()
-            anchor = int(own[nearest])
-        start += len(part.points)
-    return replace(mesh, landmarks=landmarks, anchor=anchor)
-
-
 def _by_shapes(slider: Slider) -> Slider:
     """The slider without what it does to joints, which the head has none of, or others."""
     return replace(slider, channels=(), channel_curves=(), value=None)
@@ -464,20 +440,3 @@ def carried_masks(
     nearest = closest_places(places, points, triangles)
     corners, shares = triangles[nearest.triangles], place_shares(nearest, points, triangles)
     return {name: np.asarray((mask[corners] * shares).sum(axis=1)) for name, mask in masks.items()}
-
-
-def own_points(marks: FloatArray, places: FloatArray) -> IntArray:
-    """(l,) the points of `places` (m, 3) that stand for `marks` (l, 3), no two the same: those that are nearest in all.
-
-    On coarse meshes one point is the nearest to two landmarks; either would then move the other's.
-    """
-    from scipy.optimize import linear_sum_assignment
-    from scipy.spatial import cKDTree
-
-    count = min(max(_CANDIDATES, len(marks)), len(places))
-    near = np.unique(cKDTree(places).query(marks, k=np.arange(1, count + 1))[1])
-    distances = np.linalg.norm(marks[:, None] - places[near][None], axis=2)
-    rows, columns = linear_sum_assignment(distances**2)
-    chosen = np.full(len(marks), -1)
-    chosen[rows] = near[columns]
-    return chosen

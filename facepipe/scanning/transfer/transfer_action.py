@@ -47,7 +47,7 @@ class TransferAction(StageAction["TransferReport"]):
 
     head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     template: Path | None = source(
-        "face of any topology with shapes and multipie68 landmarks (default the built-in head)",
+        "face of any topology with shapes; landmarks that it lacks are found on it (default the built-in head)",
         default=None,
         flag="--from",
         metavar="FACE",

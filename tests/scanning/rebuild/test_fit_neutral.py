@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import scan_domes
 from command_line import done, failed, run
-from database_faces import person, source
-from faces import with_meshes
+from database_faces import source
 from import_data import shared
 from neutral_files import PERSON, Files
 from PIL import Image
@@ -29,7 +28,6 @@ from facepipe.scanning.rebuild import FitNeutral, FitNeutralOptions, Template
 from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 from facepipe.verbs.whole_faces import Topology, WholeFace, whole_points
 
@@ -190,17 +188,8 @@ def test_landmarks_that_are_said_to_be_rough_bend_less(files: Files, capsys: pyt
     assert errors[1] < 0.5 * errors[0]
 
 
-def _no_landmarks(files: Files) -> None:
-    parts = scan_domes.face()
-    save_parts(with_meshes(parts, landmarks={}), files["head.usda"])
-
-
 def _other_topology(files: Files) -> None:
     save_database(create_database([source(seed) for seed in range(3)]).database, files["faces.fpdb"])
-
-
-def _other_template(files: Files) -> None:
-    save_parts(person(1), files["head.usda"])
 
 
 def _mirrored(files: Files) -> None:
@@ -234,9 +223,7 @@ def _apart(files: Files) -> None:
 @pytest.mark.parametrize(
     ("spoil", "more", "text"),
     [
-        (_no_landmarks, (), "has no multipie68 landmarks"),
         (_other_topology, (), "other meshes or faces than the database has"),
-        (_other_template, (), "head.usda"),
         (_mirrored, (), "fit a mirrored face"),
         (_few_landmarks, (), "5 of 68 are known, expected 6 or more"),
         (_no_number, (), "scan.ply"),

@@ -54,7 +54,7 @@ def test_lips_meet_whatever_was_carried(gap: float, much: float) -> None:
     assert found.gap_most <= 0.1
     assert found.over_most <= 0.5
     assert found.half_most <= 0.2
-    assert found.flips == 0
+    assert found.lip_flips == 0
     assert (half is None) == (gap <= 0.3)
     # both lips give way, and nothing does beside the mouth
     beside = np.abs(points[:, 0]) > _HALF + 1.0

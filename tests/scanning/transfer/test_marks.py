@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from facepipe.scanning.transfer.transfer import carried_masks, own_points
+from facepipe.scanning.transfer.marks import own_points
+from facepipe.scanning.transfer.transfer import carried_masks
 
 _SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])
 _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -15,8 +15,8 @@ from facepipe.scanning.transfer.report_page import write_report
 from facepipe.scanning.transfer.transfer import TransferReport
 
 _HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
-_LIPS = {"gap_mean": 0.04, "gap_most": 0.18, "over_most": 0.3, "half_most": 0.1, "flips": 0}
-_LIDS = LidFigures(gap_mean=0.02, gap_most=0.31, in_ball=0.14, in_ball_neutral=0.12, flips=0)
+_LIPS = {"gap_mean": 0.04, "gap_most": 0.18, "over_most": 0.3, "half_most": 0.1, "lip_flips": 0}
+_LIDS = LidFigures(gap_mean=0.02, gap_most=0.31, in_ball=0.14, in_ball_neutral=0.12, lid_flips=0)
 
 
 def _report() -> TransferReport:
@@ -36,6 +36,7 @@ def _report() -> TransferReport:
         },
         not_made={"eyeWideLeft": "eyes are <b>paint</b>"},
         kept={"tongueOut": "Tongue & Out"},
+        still=("Hat", "Hair"),
         warnings=("left eye: eyes are paint",),
         shown=np.ones(sum(len(mesh.points) for mesh in parts.meshes), bool),
         place=_HOME,
@@ -70,6 +71,7 @@ def test_each_shape_has_a_row_and_text_is_escaped(written: tuple[Path, TransferR
     ]
     assert "mean gap 0.04 mm, largest 0.18" in page
     assert "left eye: eyes are paint" in page
+    assert "moved by no shape: Hat, Hair" in page
     assert "3 made, 1 can&#x27;t be made, 1 the head&#x27;s own" in page
 
 

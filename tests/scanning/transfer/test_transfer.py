@@ -389,11 +389,18 @@ def test_units_axes_and_places_change_nothing(hero: Path, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_what_is_no_face_is_made_with_its_limits_told(tmp_path: Path, capsys: Capsys) -> None:
-    """A ball that landmarks were put on."""
+    """A ball that landmarks were put on, with a hat."""
     import trimesh
 
-    ball = trimesh.creation.icosphere(4, 10.0)
-    ball.export(tmp_path / "ball.obj")
+    ball, hat = trimesh.creation.icosphere(4, 10.0), trimesh.creation.cylinder(6.0, 3.0)
+    hat.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    hat.apply_translation([0, 13, 0])
+    rows, first = [], 1
+    for name, points, faces in (("Ball", ball.vertices, ball.faces), ("Hat", hat.vertices, hat.faces)):
+        rows += [f"o {name}", *("v {} {} {}".format(*point) for point in points)]
+        rows += ["f {} {} {}".format(*(first + corners)) for corners in faces]
+        first += len(points)
+    (tmp_path / "ball.obj").write_text("\n".join(rows))
     marks = marks_of(make(0))
     put_marks(tmp_path / "ball.landmarks.json", 10.0 * marks / np.linalg.norm(marks, axis=1, keepdims=True))
     words = (tmp_path / "ball.obj", "-o", tmp_path / "out.usda", "--shapes", *FEW, "--json")
@@ -402,6 +409,7 @@ def test_what_is_no_face_is_made_with_its_limits_told(tmp_path: Path, capsys: Ca
     report = json.loads(out)
     assert report["not_made"] == {"eyeBlinkLeft": "eyes are paint"}
     assert report["missed"]
+    assert report["still"] == ["Hat"]
     assert load("usd", tmp_path / "out.usda").parts.shapes == ("jawOpen",)
 
 
@@ -421,3 +429,6 @@ def test_skins_of_more_points_than_a_minute_is_enough_for_are_counted(tmp_path: 
     marks = put_marks(tmp_path / "marks.json", points[:: side * side // 67][:68])
     with pytest.raises(InputError, match="its skin has 313,600 points, expected at most 300,000"):
         Head.of(FaceParts(meshes=(sheet,)), "sheet", marks).skin()
+    # before landmarks are searched, which would find no face
+    with pytest.raises(InputError, match="its skin has 313,600 points, expected at most 300,000"):
+        Head.of(FaceParts(meshes=(sheet,)), "sheet", None)
