@@ -23,7 +23,7 @@ _LARGE = 0.5  # area of a component, relative to the largest of its part, from w
 _AROUND = 2.0  # radii from an eyeball's centre within which skin is looked at
 _NEAR_MM = 30.0  # from teeth and gums at rest within which skin is looked at: jaws open as far
 _DEEPEST_MM = 3.0  # from a surface up to which skin is in it, not behind it
-_PLANES = 4  # nearest points whose planes are looked at in sources
+_PLANES = 2  # nearest points whose planes are looked at in sources
 _BEHIND = 4.0  # times as far sources are looked at: what is behind in one of them is let through the whole body
 _LIPS_MM = 16.0  # from the outer lips' landmarks, along the skin: what may meet the other lip
 _JOINED_MM = 3.0  # along the skin from the other lip: lips that are joined there, at corners
@@ -111,7 +111,7 @@ class Surface:
         """(m,) how deep `points` (m, 3) lie in the body, or behind it, taken generously: it is what is let through."""
         if self.ball is not None:
             return self.ball.depths(points)
-        far, nearest = self._tree.query(points, k=_PLANES, distance_upper_bound=_BEHIND * self._deepest)
+        far, nearest = self._tree.query(points, k=np.arange(1, _PLANES + 1), distance_upper_bound=_BEHIND * self._deepest)
         found = np.isfinite(far)
         nearest = np.where(found, nearest, 0)
         depths = -np.einsum("mki,mki->mk", points[:, None] - self._points[nearest], self._normals[nearest])

@@ -62,7 +62,7 @@ def turned(face: Face, degrees: float, scale: float) -> Face:
 @kinds("sample", "ict")
 @pytest.mark.parametrize(("degrees", "scale"), [(14.0, 1.2), (150.0, 0.5)])
 def test_a_blend_that_is_turned_and_scaled_is_found_as_it_is(kind: str, degrees: float, scale: float) -> None:
-    blend = session(kind, 2, "neutral", BlendOptions())
+    blend = session(kind, 2, "neutral", BlendOptions(contacts=False))
     target = blended(blend, by_region("features"))
     plain, report = match(blend, target), match(blend, turned(target, degrees, scale))
     assert (plain.turned_degrees, plain.scaled) == (0.0, 1.0), "a blend that lies in place is taken as it lies"
@@ -80,7 +80,7 @@ def test_a_blend_that_is_turned_and_scaled_is_found_as_it_is(kind: str, degrees:
 
 
 def test_how_a_face_stands_that_no_blend_gives_makes_no_difference() -> None:
-    blend = session("sample", 2, "neutral", BlendOptions())
+    blend = session("sample", 2, "neutral", BlendOptions(contacts=False))
     other = session("sample", 3, "neutral").faces[2]
     plain, report = match(blend, other), match(blend, turned(other, 14.0, 1.2))
     np.testing.assert_allclose(found_table(blend, report.weights), found_table(blend, plain.weights), atol=1e-4)
