@@ -28,7 +28,7 @@ _BEHIND = 4.0  # times as far sources are looked at: what is behind in one of th
 _LIPS_MM = 16.0  # from the outer lips' landmarks, along the skin: what may meet the other lip
 _JOINED_MM = 3.0  # along the skin from the other lip: lips that are joined there, at corners
 _HARD = ("teeth", "tooth", "gum")  # in names of meshes
-_UPPER, _LOWER = [49, 50, 51, 52, 53], [55, 56, 57, 58, 59]  # landmarks of the outer lips
+_UPPER, _LOWER, _CORNERS = [49, 50, 51, 52, 53], [55, 56, 57, 58, 59], [48, 54]  # landmarks of the outer lips
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,9 @@ class Surface:
         """(m,) how deep `points` (m, 3) lie in the body, or behind it, taken generously: it is what is let through."""
         if self.ball is not None:
             return self.ball.depths(points)
-        far, nearest = self._tree.query(points, k=np.arange(1, _PLANES + 1), distance_upper_bound=_BEHIND * self._deepest)
+        far, nearest = self._tree.query(
+            points, k=np.arange(1, _PLANES + 1), distance_upper_bound=_BEHIND * self._deepest
+        )
         found = np.isfinite(far)
         nearest = np.where(found, nearest, 0)
         depths = -np.einsum("mki,mki->mk", points[:, None] - self._points[nearest], self._normals[nearest])
@@ -150,7 +152,8 @@ def _centre(body: Body, points: FloatArray) -> FloatArray | None:
 
 def find_bodies(sources: Sources, graph: Graph, loose: LooseParts) -> tuple[Body, ...]:
     """All that skin may touch."""
-    return (*_eyeballs(sources, graph, loose), *_solids(sources, graph), *_lips(sources, graph))
+    mouth = _mouth(sources, graph)
+    return (*_eyeballs(sources, graph, loose), *_solids(sources, graph, mouth), *_lips(graph, mouth))
 
 
 def _eyes(sources: Sources, loose: LooseParts) -> Iterator[tuple[str, IntArray]]:
@@ -181,13 +184,44 @@ def _eyeballs(sources: Sources, graph: Graph, loose: LooseParts) -> Iterator[Bod
             yield Body(name, shell, triangles, face[around], ball=part)
 
 
-def _solids(sources: Sources, graph: Graph) -> Iterator[Body]:
+class _Mouth(NamedTuple):
+    """Skin near the opening of the mouth, the only skin there that may be seen."""
+
+    skin: IntArray  # (s,)
+    side: IntArray  # (s,) 1 of the upper lip, -1 of the lower, 0 where they are joined
+
+
+def _mouth(sources: Sources, graph: Graph) -> _Mouth | None:
+    """By the way along the skin from the landmarks of the outer lips; None without these."""
+    base = sources.points[0]
+    for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True):
+        marks = mesh.landmarks.get(LANDMARK_SCHEME)
+        if marks is None or len(marks.indices) != LANDMARK_COUNT:
+            continue
+        numbers = np.asarray(marks.indices, np.int64) + start
+        corners = base[numbers[_CORNERS]]
+        close = np.linalg.norm(base - corners.mean(axis=0), axis=1) < np.linalg.norm(corners[1] - corners[0])
+        skin = np.flatnonzero(close & graph.main)
+        place = np.full(len(base), -1)
+        place[skin] = np.arange(len(skin))
+        if (place[numbers[[*_UPPER, *_LOWER]]] < 0).any():
+            return None
+        own = _inside(skin, graph.triangles, len(base))
+        ways = surface_graph(base[skin], np.pad(own, ((0, 0), (0, 1)), constant_values=-1))
+        away = graph_distances(ways, [place[numbers[_UPPER]], place[numbers[_LOWER]]]) * sources.mm_per_unit
+        near = away.min(axis=0) < _LIPS_MM
+        upper, lower = away[:, near]
+        side = np.where(upper + _JOINED_MM < lower, 1, np.where(lower + _JOINED_MM < upper, -1, 0))
+        return _Mouth(skin[near], side)
+    return None
+
+
+def _solids(sources: Sources, graph: Graph, mouth: _Mouth | None) -> Iterator[Body]:
     """Teeth and gums, all of a mesh at once."""
     from scipy.spatial import cKDTree
 
-    face, base = np.flatnonzero(graph.main), sources.points[0]
-    offsets = sources.mesh_offsets
-    for mesh, start, end in zip(sources.base.meshes, offsets[:-1], offsets[1:], strict=True):
+    face, base = np.flatnonzero(graph.main) if mouth is None else mouth.skin, sources.points[0]
+    for mesh, start, end in zip(sources.base.meshes, sources.mesh_offsets[:-1], sources.mesh_offsets[1:], strict=True):
         points = np.flatnonzero(~graph.main[start:end]) + start
         if not len(points) or not any(word in mesh.name.lower() for word in _HARD):
             continue
@@ -197,39 +231,16 @@ def _solids(sources: Sources, graph: Graph) -> Iterator[Body]:
             yield Body(mesh.name, points, triangles, face[np.isfinite(far)])
 
 
-def _lips(sources: Sources, graph: Graph) -> Iterator[Body]:
-    """Each lip as what the other may touch; none without landmarks."""
-    base, triangles, main = sources.points[0], graph.triangles, graph.main
-    for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True):
-        marks = mesh.landmarks.get(LANDMARK_SCHEME)
-        if marks is None or len(marks.indices) != LANDMARK_COUNT:
-            continue
-        numbers = np.asarray(marks.indices, np.int64) + start
-        corners = base[numbers[[48, 54]]]
-        close = np.linalg.norm(base - corners.mean(axis=0), axis=1) < np.linalg.norm(corners[1] - corners[0])
-        skin = np.flatnonzero(close & main)
-        place = np.full(len(base), -1)
-        place[skin] = np.arange(len(skin))
-        if (place[numbers[[*_UPPER, *_LOWER]]] < 0).any():
-            return
-        own = _inside(skin, triangles, len(base))
-        graph = surface_graph(base[skin], np.pad(own, ((0, 0), (0, 1)), constant_values=-1))
-        upper, lower = graph_distances(graph, [place[numbers[_UPPER]], place[numbers[_LOWER]]])
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(upper - lower) > _JOINED_MM / sources.mm_per_unit
-        near = np.minimum(upper, lower) < _LIPS_MM / sources.mm_per_unit
-        lips = [skin[near & apart & side] for side in (upper < lower, upper > lower)]
-        for name, points, other in zip(("lower lip", "upper lip"), lips, lips[::-1], strict=True):
-            if len(points) and len(other):
-                yield Body(
-                    name,
-                    points,
-                    _inside(points, triangles, len(base)),
-                    other,
-                    soft=True,
-                    facing=_inside(other, triangles, len(base)),
-                )
+def _lips(graph: Graph, mouth: _Mouth | None) -> Iterator[Body]:
+    """Each lip as what the other may touch."""
+    if mouth is None:
         return
+    count = len(graph.component)
+    lips = [mouth.skin[mouth.side == side] for side in (-1, 1)]
+    for name, points, other in zip(("lower lip", "upper lip"), lips, lips[::-1], strict=True):
+        if len(points) and len(other):
+            triangles, facing = (_inside(one, graph.triangles, count) for one in (points, other))
+            yield Body(name, points, triangles, other, soft=True, facing=facing)
 
 
 def _outer_shell(part: IntArray, points: FloatArray, graph: Graph) -> tuple[IntArray, IntArray]:

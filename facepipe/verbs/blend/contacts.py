@@ -100,14 +100,17 @@ class Contacts:
         touched = self._graph.triangles[moving[self._graph.triangles].any(axis=1)]
         folds = Folds(pose, [scene.source_poses[k] for k in range(len(self._stands))], touched)
         eyes: list[list[_Meeting | Folds]] = [[one] for one in meetings if one.body.ball is not None]
-        mouth: list[_Meeting | Folds] = [
-            one for one in meetings if one.body.ball is None
-        ]  # teeth, gums and lips meet the same skin
+        # teeth, gums and lips together, which meet the same skin
+        mouth: list[_Meeting | Folds] = [one for one in meetings if one.body.ball is None]
         wrong: list[_Meeting | Folds] = [*meetings, folds]
         for one in wrong:
             one.look()
         for group in (*eyes, mouth, wrong) if push else ():
             self._settle(group, scene)
+        if push and len(folds.turned):  # what is left goes before contacts: it takes them a few hundredths deeper
+            self._settle([folds], scene)
+            for meeting in meetings:
+                meeting.look()
         name = None if motion is None else motion.shape
         return Held(tuple(one.touch(name) for one in meetings if len(one.beyond)), len(folds.turned))
 
