@@ -210,7 +210,7 @@ def blend(
     match: str | os.PathLike[str] | None = None,
     heatmap: str | os.PathLike[str] | None = None,
 ) -> BlendReport:
-    """Mix faces of one topology by region, with shapes and rig: `facepipe blend`.
+    """Mix faces by region, with shapes and rig: `facepipe blend`.
 
     :param align: what each source is moved, turned and scaled onto the first one by: landmarks (nine of nose and eyes, that no expression moves), a region, or none
     :param edges: weights of the edges in the solve: all the same, or cotangents of the mean shape
@@ -221,7 +221,7 @@ def blend(
     :param keep_shape: meshes whose loose parts keep their shape up to rotation and scale: patterns, comma between; auto: those named like eyeballs and teeth
     :param anchor: MESH:POINT that stays where it is in the first source; default its authored anchor
     :param solver: sparse factorisation: scipy's, or cholespy, whose last digits may differ from run to run
-    :param sources: face stages of one topology; the first gives regions, sliders, UVs, materials
+    :param sources: faces or heads; the first gives the mesh, regions, sliders, UVs, materials
     :param weights: 
     :param match: find the weights that come nearest to this face
     :param heatmap: draw the result, coloured by its seam residual

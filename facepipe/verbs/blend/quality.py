@@ -21,6 +21,7 @@ from facepipe.stage import Face
 from facepipe.verbs.blend.graph import mean_of_ends, mix
 from facepipe.verbs.blend.session import BlendSession, Solution
 from facepipe.verbs.blend.sources import stack
+from facepipe.verbs.blend.topologies import Conformed
 from facepipe.verbs.blend.weights import Weights
 
 _ROUND = 0.1  # RMS distance from a ball, in radii, up to which a part counts as an eyeball
@@ -241,6 +242,7 @@ class BlendReport(Report):
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
     match: MatchReport | None = None  # what found the weights
+    conformed: Mapping[str, Conformed] = field(default_factory=dict)  # sources of other topologies
 
     def as_text(self, out: Path) -> str:
         """What was made, and how near it came to the edges that were asked for."""
