@@ -30,6 +30,7 @@ class Conformed:
     differs: str  # the first difference of the two
     mean_mm: float  # distance of the fitted mesh from the source
     p95_mm: float  # that 95 % of its points are below
+    shapes: tuple[str, ...]  # that are the source's own; the others are those of the first, carried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,20 +89,24 @@ def gathered(face: Face, paths: Sequence[Path], job: Job) -> Gathered:
         if not differs:
             faces.append(other)
             continue
-        copy = Face.from_parts(_bare(first.parts()))
-        with _conforming(differs):
-            report = own_action("conform")(head=path, colors=False, relief=False).author(copy, job)
-        quality = report.quality
-        conformed[str(path)] = Conformed(
-            differs=differs, mean_mm=quality.surface_mean_mm, p95_mm=quality.surface_p95_mm
-        )
-        off = f"{quality.surface_mean_mm:.2f} mm off (mean), 95 % below {quality.surface_p95_mm:.2f} mm"
-        warnings.append(f"{differs}: that mesh takes its shape, {off}")
-        warnings += _lines(Path(path).name, report.warnings)
-        copy = Face(copy.stage, copy.prim)
-        copy.file = Path(path)
+        copy, conformed[str(path)], lines = _conformed(first, Path(path), differs, job)
         faces.append(copy)
+        warnings += lines
     return Gathered(faces=tuple(faces), conformed=conformed, warnings=tuple(warnings))
+
+
+def _conformed(first: Face, path: Path, differs: str, job: Job) -> tuple[Face, Conformed, list[str]]:
+    """The first face in the shape of a head, how near it came, and what is to be said of it."""
+    copy = Face.from_parts(_bare(first.parts()))
+    with _conforming(differs):
+        report = own_action("conform")(head=path, colors=False, relief=False, own_shapes=True).author(copy, job)
+    mean, p95, own = report.quality.surface_mean_mm, report.quality.surface_p95_mm, report.own_shapes
+    off = f"{mean:.2f} mm off (mean), 95 % below {p95:.2f} mm"
+    shapes = f"{len(own)} shapes are its own" if own else "it has no shapes of these names"
+    lines = [f"{differs}: that mesh takes its shape, {off}; {shapes}", *_lines(path.name, report.warnings)]
+    copy = Face(copy.stage, copy.prim)
+    copy.file = path
+    return copy, Conformed(differs=differs, mean_mm=mean, p95_mm=p95, shapes=own), lines
 
 
 def _bare(parts: FaceParts) -> FaceParts:
