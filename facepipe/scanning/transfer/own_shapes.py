@@ -1,28 +1,37 @@
-"""The own shapes of a head on a template that took its shape: what lies at one place moves alike."""
+"""The own shapes of a head on a template that took its shape: what lies at one place moves alike.
+
+On rims of lips and lids a fit is a millimetre off along the surface, where the nearest place may be on the other lip: a
+corner of the mouth came out as a patch across it. There the template's own shape stands, with what the head's differs
+from it by around.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.threads import one_thread
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts, Landmarks
 from facepipe.rig.conventions import match_shapes, shapes_of
 from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.template import Template
-from facepipe.scanning.transfer.carry import carried
+from facepipe.scanning.transfer.carry import FADE_MM, Carrier, Fill, screened
+from facepipe.scanning.transfer.finish import is_by_lids
 from facepipe.scanning.transfer.fit import HeadFit
 from facepipe.scanning.transfer.head import Head
 from facepipe.scanning.transfer.mesh import HeadMesh
-from facepipe.scanning.transfer.transfer import own_jaw, own_points, whole_shapes, with_inbetweens
+from facepipe.scanning.transfer.sides import banks_of
+from facepipe.scanning.transfer.transfer import own_points
 from facepipe.scans import LANDMARK_SCHEME
 from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.whole_faces import whole_face
+
+_RIM = 0.12  # of a slit's width from its rims: up to there the template's own shape stands
 
 
 @one_thread()
@@ -34,10 +43,10 @@ def bring_own_shapes(
     step: Callable[[], object] = lambda: None,
 ) -> tuple[str, ...]:
     """Author on `face`, a template in the shape of a head, the shapes that the head has by any usual name, in place of
-    the template's own; the names of these.
+    the template's own; the names of these. Blinks, looks and wide eyes are of the template's own eyes, and stay.
 
-    No fit is needed: the two lie on one another. Shapes go over by their gradients and are finished as those of
-    `facepipe transfer`, for the template's own eyes and teeth.
+    Loose parts, such as teeth and brows, go on as the template's own shape has it, and along with the skin around them
+    where that differs.
 
     :param giver: the head, with its landmarks
     :param place: from its whole points to the face's
@@ -47,42 +56,38 @@ def bring_own_shapes(
     """
     parts = face.parts()
     own = match_shapes(parts.shapes, giver.parts.shapes, shapes_of(giver.parts.meshes))
+    own = {name: named for name, named in own.items() if not is_by_lids(name)}
     if not own:
         return ()
-    taker = Head.of(parts, face.where, None)
-    skin = taker.skin()
-    body = Template.of(_marked(giver, place.undo(taker.landmarks.points)), giver.where)
-    deltas = whole_face(body.parts, giver.where).deltas
-    nothing = np.zeros_like(body.points)
-    wished = {name: sum((deltas[one] for one in named), nothing) for name, named in own.items()}
+    taker = Template.of(parts, face.where)
+    skin = taker.points[taker.rows]
+    body = Template.of(_marked(giver, place.undo(skin[taker.landmarks])), giver.where)
     back = Similarity(
         rotation=place.rotation.T,
         translation=-place.translation @ place.rotation / place.scale,
         scale=1.0 / place.scale,
     )
-    mesh = HeadMesh.of(back.apply(taker.sewn[skin]), taker.surface.part_triangles(skin))
-    fit = HeadFit(points=body.points, place=back, head=mesh, report=report)
-    on_skin = carried(body, fit, wished, lambda name: _done(step)).deltas
-    kept = {"jawOpen": "jawOpen"} if "jawOpen" not in wished and "jawOpen" in parts.shapes else {}
-    made, _ = whole_shapes(taker, skin, body, fit, wished, on_skin, own_jaw(taker, kept, skin))
-
-    def settled(changed: FaceParts) -> FaceParts:
-        meshes = [
-            replace(
-                one,
-                blendshapes=tuple(with_inbetweens(shape, taker, number, made.inbetweens) for shape in one.blendshapes),
-            )
-            for number, one in enumerate(changed.meshes)
-        ]
-        return replace(changed, meshes=tuple(meshes))
-
-    shapes = {name: taker.whole(delta) for name, delta in made.deltas.items()}
-    AuthorNeutral(shapes=shapes, settled=settled)(face, taker.points, recipe=parts.recipe)
+    mesh = HeadMesh.of(back.apply(skin), taker.triangles)
+    carrier = Carrier(body, HeadFit(points=body.points, place=back, head=mesh, report=report))
+    fill = Fill(screened(skin, taker.triangles, FADE_MM), _known(taker) & carrier.reached[mesh.group])
+    theirs, before = whole_face(body.parts, giver.where).deltas, whole_face(parts, face.where).deltas
+    shapes = {}
+    for name, named in own.items():
+        carried = carrier.carry(np.sum([theirs[one] for one in named], axis=0))
+        differs = fill.filled(carried - before[name][taker.rows])
+        shapes[name] = before[name] + taker.whole(taker.points, skin + differs) - taker.points
+        step()
+    AuthorNeutral(shapes=shapes)(face, taker.points, recipe=parts.recipe)
     return tuple(shapes)
 
 
-def _done(step: Callable[[], object]) -> None:
-    step()
+def _known(template: Template) -> BoolArray:
+    """(m,) rows of the outside of the skin that are on no rim of a lip or lid."""
+    known = np.zeros(len(template.rows), bool)
+    known[template.seen] = True
+    for bank in banks_of(template):
+        known &= bank.away >= _RIM
+    return known
 
 
 def _marked(head: Head, marks: FloatArray) -> FaceParts:
@@ -91,7 +96,7 @@ def _marked(head: Head, marks: FloatArray) -> FaceParts:
     if any(LANDMARK_SCHEME in mesh.landmarks for mesh in parts.meshes):
         return parts
     counts = [len(mesh.points) for mesh in parts.meshes]
-    pieces = np.split(np.isin(head.surface.group, head.skin()), np.cumsum(counts)[:-1])
+    pieces: Sequence[BoolArray] = np.split(np.isin(head.surface.group, head.skin()), np.cumsum(counts)[:-1])
     chosen = int(np.argmax([piece.sum() for piece in pieces]))
     own: IntArray = np.flatnonzero(pieces[chosen])
     indices = own[own_points(marks, head.points[sum(counts[:chosen]) + own])]

@@ -241,7 +241,7 @@ def _shapes_of(
     more = ("jawOpen",) if _closes_alone(names, own, kept) else ()
     wished = {name: own[name] for name in (*names, *more)}
     skin_deltas = dict(carried(body, fit, wished, lambda name: _done(step)).deltas)
-    jaw = skin_deltas.pop("jawOpen") if more else own_jaw(head, kept, skin)
+    jaw = skin_deltas.pop("jawOpen") if more else _own_jaw(head, kept, skin)
     return whole_shapes(head, skin, body, fit, own, skin_deltas, jaw)
 
 
@@ -293,7 +293,7 @@ def _closes_alone(names: Sequence[str], own: Mapping[str, FloatArray], kept: Map
     return "mouthClose" in names and "jawOpen" in own and "jawOpen" not in {*names, *kept}
 
 
-def own_jaw(head: Head, kept: Mapping[str, str], skin: IntArray) -> FloatArray | None:
+def _own_jaw(head: Head, kept: Mapping[str, str], skin: IntArray) -> FloatArray | None:
     """(m, 3) of the head's own jawOpen at the sewn points `skin`; None: it has none."""
     if "jawOpen" not in kept:
         return None
@@ -398,7 +398,7 @@ def _settled(
     rows = start + np.flatnonzero(on_skin[start : start + counts[chosen]])
     meshes = [replace(mesh, regions=own or mesh.regions) for mesh, own in zip(changed.meshes, masks, strict=True)]
     meshes = [
-        replace(mesh, blendshapes=tuple(with_inbetweens(shape, head, number, between) for shape in mesh.blendshapes))
+        replace(mesh, blendshapes=tuple(_between(shape, head, number, between) for shape in mesh.blendshapes))
         for number, mesh in enumerate(meshes)
     ]
     if "landmarks" in wanted and (anew or not any(mesh.landmarks for mesh in meshes)):
@@ -411,9 +411,7 @@ def _settled(
     return replace(changed, meshes=tuple(meshes), sliders=tuple(sliders.values()), photos=head.parts.photos)
 
 
-def with_inbetweens(
-    shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Mapping[float, FloatArray]]
-) -> Blendshape:
+def _between(shape: Blendshape, head: Head, mesh: int, between: Mapping[str, Mapping[float, FloatArray]]) -> Blendshape:
     """The shape with what it is at weights below 1, where it was made with that."""
     if shape.name not in between:
         return shape
