@@ -293,7 +293,7 @@ def conform(
     :param close_lips: close lips whose landmarks meet: of their rims, scans show nothing
     :param picture: draw scan, face and their distance
     :param head: head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD
-    :param own_shapes: the template's shapes that HEAD has by any usual name become HEAD's own
+    :param own_shapes: shapes that HEAD has by any usual name become its own, but for blinks, looks and wide eyes
     :param without: meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there

@@ -45,7 +45,9 @@ class ConformAction(FittingAction):
 
     head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
     own_shapes: bool = option(
-        False, "the template's shapes that HEAD has by any usual name become HEAD's own", before=False
+        False,
+        "shapes that HEAD has by any usual name become its own, but for blinks, looks and wide eyes",
+        before=False,
     )
     without: tuple[str, ...] = option(
         (), "meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...", parse=tuple, words=True

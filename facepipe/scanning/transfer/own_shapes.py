@@ -1,8 +1,8 @@
 """The own shapes of a head on a template that took its shape: what lies at one place moves alike.
 
 On rims of lips and lids a fit is a millimetre off along the surface, where the nearest place may be on the other lip: a
-corner of the mouth came out as a patch across it. There the template's own shape stands, with what the head's differs
-from it by around.
+corner of the mouth came out as a patch across it. There the template's own shape stands, as much of it as elsewhere, with
+what the head's differs from that by around.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def bring_own_shapes(
     """Author on `face`, a template in the shape of a head, the shapes that the head has by any usual name, in place of
     the template's own; the names of these. Blinks, looks and wide eyes are of the template's own eyes, and stay.
 
-    Loose parts, such as teeth and brows, go on as the template's own shape has it, and along with the skin around them
-    where that differs.
+    Loose parts outside, such as brows, go along with the skin; inside the head they move as in the template's own
+    shape, by what share of it the skin does.
 
     :param giver: the head, with its landmarks
     :param place: from its whole points to the face's
@@ -69,13 +69,19 @@ def bring_own_shapes(
     )
     mesh = HeadMesh.of(back.apply(skin), taker.triangles)
     carrier = Carrier(body, HeadFit(points=body.points, place=back, head=mesh, report=report))
-    fill = Fill(screened(skin, taker.triangles, FADE_MM), _known(taker) & carrier.reached[mesh.group])
+    known, inside = _known(taker) & carrier.reached[mesh.group], _inside(taker)
+    fill = Fill(screened(skin, taker.triangles, FADE_MM), known)
     theirs, before = whole_face(body.parts, giver.where).deltas, whole_face(parts, face.where).deltas
     shapes = {}
     for name, named in own.items():
         carried = carrier.carry(np.sum([theirs[one] for one in named], axis=0))
-        differs = fill.filled(carried - before[name][taker.rows])
-        shapes[name] = before[name] + taker.whole(taker.points, skin + differs) - taker.points
+        # by what share of the template's own the skin moves, so do the lining of the mouth, teeth and gums
+        was = before[name][taker.rows]
+        squares = max(float((was[known] ** 2).sum()), np.finfo(np.float64).tiny)
+        share = float((was * carried)[known].sum()) / squares
+        differs = fill.filled(carried - share * was)
+        around = taker.whole(taker.points, skin + differs) - taker.points
+        shapes[name] = share * before[name] + np.where(inside[:, None], 0.0, around)
         step()
     AuthorNeutral(shapes=shapes)(face, taker.points, recipe=parts.recipe)
     return tuple(shapes)
@@ -88,6 +94,20 @@ def _known(template: Template) -> BoolArray:
     for bank in banks_of(template):
         known &= bank.away >= _RIM
     return known
+
+
+def _inside(template: Template) -> BoolArray:
+    """(n,) whole points of loose parts that lie nearest to what is not seen of the skin: teeth, gums, tongue, eyes."""
+    from scipy.spatial import cKDTree
+
+    hidden = np.ones(len(template.rows), bool)
+    hidden[template.seen] = False
+    inside = np.zeros(len(template.points), bool)
+    if len(template.loose):
+        near = cKDTree(template.points[template.rows]).query(template.points[template.loose])[1]
+        piece = template.stiff[template.loose]
+        inside[template.loose] = (np.bincount(piece, hidden[near]) > 0.5 * np.bincount(piece))[piece]
+    return inside
 
 
 def _marked(head: Head, marks: FloatArray) -> FaceParts:
