@@ -31,8 +31,8 @@ from facepipe.stage import Face
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.whole_faces import whole_face
 
-# Of a slit's width from its rims: up to there the template's own shape stands. With 0.12 jawOpen of a person on a mesh of
-# 3,018 points was 0.15 mm off instead of 0.25, and a corner of the mouth stayed shut.
+# Of a slit's width from its rims: up to there the template's own shape stands. With 0.12 jawOpen of a person on a mesh
+# of 3,018 points was 0.15 mm off instead of 0.25, and a corner of the mouth stayed shut.
 _RIM = 0.3
 
 
