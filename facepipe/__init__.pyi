@@ -213,7 +213,7 @@ def blend(
     heatmap: str | os.PathLike[str] | None = None,
     closeup: str | os.PathLike[str] | None = None,
 ) -> BlendReport:
-    """Mix faces of one topology by region, with shapes and rig: `facepipe blend`.
+    """Mix faces by region, with shapes and rig: `facepipe blend`.
 
     :param align: what each source is moved, turned and scaled onto the first one by: landmarks (nine of nose and eyes, that no expression moves), a region, or none
     :param contacts: skin is held out of eyeballs, teeth, gums and the other lip, but for how deep it lies in them in a source
@@ -226,7 +226,7 @@ def blend(
     :param keep_shape: meshes whose loose parts keep their shape up to rotation and scale: patterns, comma between; auto: those named like eyeballs and teeth
     :param anchor: MESH:POINT that stays where it is in the first source; default its authored anchor
     :param solver: sparse factorisation: scipy's, or cholespy, whose last digits may differ from run to run
-    :param sources: face stages of one topology; the first gives regions, sliders, UVs, materials
+    :param sources: faces or heads; the first gives the mesh, regions, sliders, UVs, materials
     :param weights: 
     :param match: find the weights that come nearest to this face
     :param heatmap: draw the result, coloured by its seam residual
@@ -276,6 +276,7 @@ def conform(
     open_eyes: bool = True,
     close_lips: bool = True,
     picture: str | os.PathLike[str] | None = None,
+    own_shapes: bool = False,
     without: Sequence[str] = (),
 ) -> FitNeutralReport:
     """Give a template the shape of a head of others: `facepipe conform`.
@@ -298,6 +299,7 @@ def conform(
     :param close_lips: close lips whose landmarks meet: of their rims, scans show nothing
     :param picture: draw scan, face and their distance
     :param head: head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD
+    :param own_shapes: shapes that HEAD has by any usual name become its own, but for blinks, looks and wide eyes
     :param without: meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there

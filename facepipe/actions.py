@@ -16,7 +16,7 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
 from facepipe.kinds import Action, FileAction, InPlaceAction, StageAction
-from facepipe.registry import loaded, manifest
+from facepipe.registry import loaded, manifest, own_action
 
 GROUP = "facepipe.processors"
 # flags that commands have, and arguments of functions, beside those of fields
@@ -69,7 +69,7 @@ def find_action(verb: str) -> type[Action[Any]] | None:
     :raises InputError: it is that of a plug-in that can't be loaded, or that has no action of the verb
     """
     if verb in _own():
-        kind: type[Action[Any]] = EntryPoint(verb, _own()[verb]["class"], GROUP).load()
+        kind: type[Action[Any]] = own_action(verb)
         return kind
     entry = _others().get(verb)
     return None if entry is None else _of_others(entry)

@@ -117,6 +117,11 @@ def manifest() -> dict[str, Any]:
     return found
 
 
+def own_action(verb: str) -> Any:
+    """The class of one of facepipe's own actions, by which a verb finds that of a wing."""
+    return EntryPoint(verb, manifest()["actions"][verb]["class"], "facepipe.processors").load()
+
+
 def neural_rigs() -> NeuralRigs:
     """The door of that wing."""
     door: NeuralRigs = importlib.import_module(manifest()["doors"]["neural rigs"])

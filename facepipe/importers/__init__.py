@@ -80,5 +80,5 @@ def read_face(path: str | Path, kind: str | None = None, options: object | None 
         return open_face(path)
     imported = load(kind_of(path) if kind is None else kind, path, options)
     face = Face.from_parts(imported.parts)
-    face.warnings = imported.warnings
+    face.file, face.warnings = Path(path), imported.warnings
     return face

@@ -81,6 +81,7 @@ class Face:
             raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
         self._skeleton_prim = skeletons[0]
 
+    file: Path | None = None  # that it comes from, where its stage is of no file: for messages
     warnings: tuple[str, ...] = ()  # what could not be read of the file that it was imported from
     _new_textures: NewTextures | None = None  # of a layer that is being made
 
@@ -97,7 +98,7 @@ class Face:
     @property
     def where(self) -> str:
         """The trail to the face for messages: file and prim path."""
-        file = self.stage.GetRootLayer().realPath
+        file = self.stage.GetRootLayer().realPath or self.file
         path = f"<{self.prim.GetPath()}>"
         return f"{Path(file).name} -> {path}" if file else path
 

@@ -52,7 +52,7 @@ def test_every_command_has_its_help(bytecode: Path, tmp_path: Path) -> None:
     texts = fresh_process.commands(tmp_path, bytecode, *(" ".join([*words, "--help"]) for words in lines()))
     assert {end.returncode for end in texts} == {0}
     assert all(len(end.stdout) > 300 for end in texts)
-    assert "mix faces of one topology" in run(tmp_path, bytecode, "--help").stdout
+    assert "mix faces by region" in run(tmp_path, bytecode, "--help").stdout
 
 
 def test_the_public_api_is_all_there(bytecode: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError, TopologyError
 from facepipe.core.names import first_names
+from facepipe.core.reports import not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.identity_model import IdentityModel
@@ -96,8 +97,10 @@ class FitNeutralReport(Judged):
     colored: float = 0.0  # share of the skin's outside whose colours the scan shows
     hidden: tuple[str, ...] = ()  # materials of cards of brows, which the scan's colours show
     photos: Mapping[str, Any] = field(default_factory=dict)  # what `facepipe scan` reports of them
+    own_shapes: tuple[str, ...] = ()  # of the head that it was fitted to, as `facepipe conform` brings them
+    place: Any = not_in_json()  # `Similarity` from the scan's coordinates to the face's whole points
 
-    of_action: ClassVar[tuple[str, ...]] = ("textures", "colored", "hidden", "photos")
+    of_action: ClassVar[tuple[str, ...]] = ("textures", "colored", "hidden", "photos", "own_shapes")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -150,6 +150,7 @@ class FittingAction(TemplateAction):
             colored=baked.colored,
             hidden=baked.hidden,
             photos=photos,
+            place=place,
         )
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
@@ -164,6 +165,7 @@ class FittingAction(TemplateAction):
             *([("slid along the surface", slid_text(fit.slid_mm))] if fit.slid_mm else []),
             *([("shows besides", besides)] if besides else []),
             ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
+            *([("shapes of its own", f"{len(report.own_shapes)}")] if report.own_shapes else []),
             ("flipped triangles", f"{report.quality.flipped_triangles}"),
             ("a unit of the scan", unit),
             ("steps", f"{fit.steps}"),

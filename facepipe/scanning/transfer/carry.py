@@ -24,7 +24,7 @@ from facepipe.scanning.transfer.fit import HeadFit
 from facepipe.scanning.transfer.places import REACH_MM, nearest_places, places_on
 from facepipe.scanning.transfer.sides import sides_on
 
-_FADE_MM = 60.0  # over which motion dies out on the head's mesh, away from the template
+FADE_MM = 60.0  # over which motion dies out on the head's mesh, away from the template
 _STILL_MM = 8.0  # over which it passes into what a shape leaves still
 
 
@@ -72,7 +72,7 @@ class Carrier:
         labels, self.sides = sides_on(template, rows, head, nearest, REACH_MM)
         self.places = places_on(rows, template.triangles, head, labels, self.sides)
         self.reached = self.places.distances <= REACH_MM
-        self._fill = Fill(screened(head.points, head.triangles, _FADE_MM), self.reached)
+        self._fill = Fill(screened(head.points, head.triangles, FADE_MM), self.reached)
 
     def carry(self, delta: FloatArray) -> FloatArray:
         """(m, 3) delta of the head, in its own coordinates, of a whole delta (n, 3) of the template."""

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from facepipe.parts import FaceParts
     from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
     from facepipe.scanning.rebuild.scan_fit import Given
+    from facepipe.scanning.transfer.head import Head
     from facepipe.stage import Face
 
 
@@ -43,6 +44,11 @@ class ConformAction(FittingAction):
     """The action."""
 
     head: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD")
+    own_shapes: bool = option(
+        False,
+        "shapes that HEAD has by any usual name become its own, but for blinks, looks and wide eyes",
+        before=False,
+    )
     without: tuple[str, ...] = option(
         (), "meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...", parse=tuple, words=True
     )
@@ -50,6 +56,12 @@ class ConformAction(FittingAction):
     @property
     def fitted(self) -> Path:
         return Path(self.head)
+
+    @cached_property
+    def _of_head(self) -> Head:
+        from facepipe.scanning.transfer.head import Head
+
+        return Head.of(self._read[0], str(self.head), self.landmarks)
 
     @cached_property
     def _read(self) -> tuple[FaceParts, tuple[str, ...]]:
@@ -62,11 +74,8 @@ class ConformAction(FittingAction):
         return super().made_base()
 
     def given(self, job: Job) -> Given:
-        from facepipe.scanning.transfer.head import Head
-
         with job.watch("landmarks", 1) as bar:
-            parts, warnings = self._read
-            head = Head.of(parts, str(self.head), self.landmarks)
+            head, warnings = self._of_head, self._read[1]
             bar.update()
         # in the unit of its file, which --unit is of
         scan, unit = head.scan_of_skin(), 1000.0 * head.parts.meters_per_unit
@@ -80,6 +89,19 @@ class ConformAction(FittingAction):
                 raise InputError("--without", unknown(name, names, "mesh of the template"))
         left_out = [face.mesh_prim(name) for name in self.without]
         report = super().author(face, job)
+        if self.own_shapes:
+            report = self._with_own_shapes(face, job, report)
         for prim in left_out:
             prim.SetActive(False)
         return report
+
+    def _with_own_shapes(self, face: Face, job: Job, report: FitNeutralReport) -> FitNeutralReport:
+        from facepipe.scanning.transfer.own_shapes import bring_own_shapes
+        from facepipe.stage import Face
+
+        place, unit = report.place, 1000.0 * self._of_head.parts.meters_per_unit  # of a scan in the unit of its file
+        fitted = Face(face.stage, face.prim)
+        with job.watch("shapes", len(fitted.parts().shapes)) as bar:
+            placed = replace(place, scale=place.scale / unit)
+            names = bring_own_shapes(fitted, self._of_head, placed, report, bar.update)
+        return replace(report, own_shapes=names)

@@ -39,6 +39,11 @@ _TURNS = (0.0, 0.66, -0.66)  # radians about Y: from where a face is seen
 _FACE_MM = 150.0  # from the middle of the landmarks: a body is not looked at
 
 
+def is_by_lids(name: str) -> bool:
+    """Whether a shape is nothing without lids: blinks, looks and wide eyes, of either side."""
+    return any(name == f"{stem}{side}" for stem in _BY_LIDS for side in EYES)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ShapeVerdict:
     """What became of a shape."""

@@ -1,6 +1,10 @@
-"""Blend faces of one topology: the eyes of one, the mouth of another, with all shapes and the rig.
+"""Blend faces: the eyes of one, the mouth of another, with all shapes and the rig.
 
-OUT is an override layer over the first SOURCE and needs that file; hand on what --flatten writes.
+A SOURCE is a face stage, or a head of any tool (.glb .gltf .vrm .fbx .obj .ply .stl .off or USD). The first one's mesh
+is that of the result: it takes the shape of each source of another topology first, as by `facepipe conform`, for half a
+minute each, with a note of how near it came. For that, a first source without landmarks, regions or shapes gets them,
+as by `facepipe transfer`. OUT is an override layer over the first SOURCE and needs that file; hand on what --flatten
+writes, or -o head.glb at once. --edit needs a stage.
 
 Weights are given per region, one per SOURCE, and normalised to sum 1. Regions are those of the first SOURCE (`facepipe
 regions` lists them); regions without weights take --default, or all sources alike. A file of weights holds what the
@@ -13,6 +17,7 @@ The recipe stays on the result. --edit blends again from it with what the line c
 options below. --match finds the weights whose blend comes nearest to a target sculpt of the same topology.
 
 examples:
+  facepipe blend hero.fbx anna.usda -o hero.glb --set eyes=0.2,0.8
   facepipe blend a.usda b.usda -o c.usda --set eyes=0.8,0.2 --set mouth=0.3,0.7 --default 0.5,0.5
   facepipe blend --edit c.usda --set eyes=0.6,0.4 --lock mouth=2 --force
   facepipe blend --edit c.usda --replace 2=other.usda -o d.usda
@@ -24,15 +29,18 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
+from facepipe.core.reading import file_beside
 from facepipe.declare import JsonValue, beside, option, source
 from facepipe.kinds import Job, StageAction, action
 from facepipe.verbs.blend.options import BlendOptions
 
 if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
     from facepipe.stage import Face
     from facepipe.verbs.blend.quality import BlendReport
     from facepipe.verbs.blend.weights import Weights
@@ -52,13 +60,13 @@ def _load(content: object, where: str) -> Weights:
     return weights_from_json(content, where)
 
 
-@action("blend", "mix faces of one topology by region, with shapes and rig")
+@action("blend", "mix faces by region, with shapes and rig")
 @dataclass(frozen=True, kw_only=True)
 class BlendFaces(BlendOptions, StageAction["BlendReport"]):
     """The action."""
 
     sources: tuple[Path, ...] = source(
-        "face stages of one topology; the first gives regions, sliders, UVs, materials", metavar="SOURCE"
+        "faces or heads; the first gives the mesh, regions, sliders, UVs, materials", metavar="SOURCE"
     )
     weights: Weights | None = option(None, value=JsonValue(_dump, _load))  # None: all sources alike
     match: Path | None = source(
@@ -95,6 +103,22 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
                     raise InputError(f"--{flag}", what)
         return {**values, "weights": weights_of(arguments, values.get("weights") or Weights())}
 
+    @cached_property
+    def _first(self) -> Face:
+        from facepipe.verbs.blend.topologies import read_source
+
+        return read_source(self.base)
+
+    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
+        first = self._first  # kept: read once, though its stage is opened again
+        return None if first.file is None else (first.parts(), first.warnings)
+
+    @property
+    def further_files(self) -> tuple[Path, ...]:
+        """Landmarks that lie beside a source, of which its face is found."""
+        beside = (file_beside(Path(path), f"{Path(path).stem}.landmarks.json") for path in self.sources)
+        return tuple(path for path in beside if path is not None)
+
     def check(self) -> None:
         super().check()
         for number, path in enumerate(self.sources):
@@ -103,27 +127,30 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
                     raise InputError(path, "is a source twice, expected different faces")
 
     def author(self, face: Face, job: Job) -> BlendReport:
-        from facepipe.importers import read_face
         from facepipe.parts import all_regions
         from facepipe.verbs.blend.matching import match
         from facepipe.verbs.blend.result import Blend
         from facepipe.verbs.blend.session import BlendSession
+        from facepipe.verbs.blend.topologies import gathered
         from facepipe.verbs.blend.weights import Weights
 
-        faces = [read_face(path) for path in self.sources]
         weights = self.weights or Weights()
-        target = None if self.match is None else read_face(self.match)
-        if target is None:  # the blend checks this too, after the work that comes first there
-            weights.shares(list(all_regions(faces[0].meshes)), len(faces))
+        regions = all_regions(face.meshes)
+        if self.match is None and regions:  # the blend checks this too, after the work that comes first there
+            weights.shares(list(regions), len(self.sources))
         start = time.perf_counter()
+        found = gathered(face, [*self.sources, *([] if self.match is None else [self.match])], job)
+        faces, face = found.faces[: len(self.sources)], found.faces[0]
+        target = None if self.match is None else found.faces[-1]
         session = BlendSession(faces, self, live=False)
         matched = None if target is None else match(session, target, weights.locked)
         weights = weights if matched is None else matched.weights
         recipe = job.recipe(replace(self, weights=weights))
         with job.watch("blend", len(session.sculpts)) as bar:
             report = Blend(weights=weights, options=session.options)(face, session, recipe=recipe, done=bar.update)
-        warnings = tuple(dict.fromkeys((*(matched.warnings if matched else ()), *report.warnings)))
-        return replace(report, match=matched, warnings=warnings, seconds=time.perf_counter() - start)
+        warnings = tuple(dict.fromkeys((*found.warnings, *(matched.warnings if matched else ()), *report.warnings)))
+        seconds = time.perf_counter() - start
+        return replace(report, match=matched, conformed=found.conformed, warnings=warnings, seconds=seconds)
 
     def draw(self, face: Face, report: BlendReport, path: Path) -> None:
         """The picture of the seam residual."""

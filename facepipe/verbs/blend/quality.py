@@ -17,6 +17,7 @@ from facepipe.verbs.blend.contacts import LEAST_MM
 from facepipe.verbs.blend.graph import point_name
 from facepipe.verbs.blend.matching import MatchReport
 from facepipe.verbs.blend.session import BlendSession, Solution
+from facepipe.verbs.blend.topologies import Conformed
 
 _SHOWN = 4  # names of a list
 _CLOSE_MM = 30.0  # around the worst contact: what its picture shows
@@ -120,6 +121,7 @@ class BlendReport(Report):
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
     match: MatchReport | None = None  # what found the weights
+    conformed: Mapping[str, Conformed] = field(default_factory=dict)  # sources of other topologies
 
     def as_text(self, out: Path) -> str:
         """What was made, and how near it came to the edges that were asked for."""

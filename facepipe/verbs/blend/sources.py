@@ -259,6 +259,16 @@ def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple
     return replace(source, meshes=(*kept, *worn.values())), tuple(worn)
 
 
+def difference(base: FaceParts, base_name: str, other: FaceParts, name: str) -> str:
+    """In what `other` is not of the base's topology, cards of hair aside; empty: in nothing."""
+    worn = [mesh for mesh in base.meshes if not _is_cards(mesh, base)]
+    try:
+        in_order(replace(base, meshes=tuple(worn or base.meshes)), base_name, other, name)
+    except TopologyError as error:
+        return str(error)
+    return ""
+
+
 def _is_cards(mesh: Mesh, parts: FaceParts) -> bool:
     """Whether pictures cut it out, as they do hairs."""
     cut = {material.name for material in parts.materials if isinstance(material.opacity, TextureInput)}
