@@ -28,7 +28,7 @@ import facepipe
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.contacts import Sheet
-from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.geometry.polygons import components, point_normals, point_triangles
 from facepipe.geometry.vectors import unit_vectors
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
@@ -38,9 +38,9 @@ PEOPLE = 40
 REGIONS = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "neck", "nose")
 BOUNDS = {"EyeballLeft": 0.1, "EyeballRight": 0.1, "Teeth": 0.3, "GumsAndTongue": 0.3}  # mm over the deeper source
 MOUTH = ("Teeth", "GumsAndTongue")
-_NEAR_MM = 3.0  # of a part: skin farther inside is behind it
+_BEHIND_MM = 8.0  # inside a part: skin farther in is behind it
 
-_OUTSIDE_MM = 0.7
+_OUTSIDE_MM = 0.7  # of the plane at the nearest point
 
 Pose = tuple[str, list[FloatArray]]  # name, and points (n, 3) mm of the sources and, last, of the blend
 Figures = dict[str, dict[str, object]]
@@ -105,7 +105,7 @@ def deepest(session: BlendSession, solution: Solution) -> Figures:
     }
     found: Figures = {}
     for name in BOUNDS:
-        hard, skin = np.unique(triangles[name]), np.unique(triangles["Head"])
+        part, skin = triangles[name], np.unique(triangles["Head"])
         if name in MOUTH:
             closed = sources.points[0] * mm
             for sculpt in session.sculpts:
@@ -113,14 +113,29 @@ def deepest(session: BlendSession, solution: Solution) -> Figures:
                     closed[sculpt.points] += sculpt.offsets[0] * mm
             skin = np.unique(Sheet.of(triangles["Head"], triangles[name], [closed]).outer)
         else:
-            middle, reach = sources.points[0, hard].mean(axis=0), np.ptp(sources.points[0, hard], axis=0).max()
+            part = _outer_shell(part, sources.points[0])
+            middle, reach = (
+                sources.points[0, part].mean(axis=(0, 1)),
+                np.ptp(sources.points[0, part], axis=(0, 1)).max(),
+            )
             skin = skin[np.linalg.norm(sources.points[0, skin] - middle, axis=1) < reach]
+        hard = np.unique(part)
         for shape, faces in _poses(solution, sources.points, mm, np.union1d(skin, hard)):
-            depths = [_deepest(points, skin, hard, triangles[name]) for points in faces]
+            depths = [_deepest(points, skin, hard, part) for points in faces]
             over = depths[-1] - max(depths[:-1])
             if name not in found or over > found[name]["over_mm"]:
                 found[name] = {"over_mm": over, "shape": shape, "depths_mm": depths}
     return found
+
+
+def _outer_shell(triangles: IntArray, points: FloatArray) -> IntArray:
+    """(h, 3) those of an eyeball's outermost piece: it has a second shell inside."""
+    used, local = np.unique(triangles, return_inverse=True)
+    local = local.reshape(-1, 3)
+    piece = components(len(used), np.concatenate([local[:, :2], local[:, 1:]]))
+    away = np.linalg.norm(points[used] - points[used].mean(axis=0), axis=1)
+    mean = np.bincount(piece, away) / np.bincount(piece)
+    return triangles[piece[local[:, 0]] == mean.argmax()]
 
 
 def _poses(solution: Solution, sources: FloatArray, mm: float, watched: IntArray) -> Iterator[Pose]:
@@ -140,7 +155,7 @@ def _deepest(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntA
     surface, local = points[hard], np.searchsorted(hard, triangles)
     own, asked = point_normals(surface, local), points[skin]
     # what is far from the part, or clearly outside of the plane at its nearest point, is left out: it takes long
-    far, near = cKDTree(surface).query(asked, distance_upper_bound=2.0 * _NEAR_MM)
+    far, near = cKDTree(surface).query(asked, distance_upper_bound=_BEHIND_MM + 2.0)
     asked, near = asked[np.isfinite(far)], near[np.isfinite(far)]
     asked = asked[np.einsum("mi,mi->m", asked - surface[near], own[near]) < _OUTSIDE_MM]
     if not len(asked):
@@ -149,7 +164,7 @@ def _deepest(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntA
     shares = place_shares(nearest, surface, local)
     normals = unit_vectors(np.einsum("mk,mkc->mc", shares, own[local[nearest.triangles]]))
     inside = np.einsum("mi,mi->m", asked - nearest.places, normals) < 0
-    return float(nearest.distances[inside & (nearest.distances < _NEAR_MM)].max(initial=0.0))
+    return float(nearest.distances[inside & (nearest.distances < _BEHIND_MM)].max(initial=0.0))
 
 
 if __name__ == "__main__":
