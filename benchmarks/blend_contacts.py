@@ -1,4 +1,4 @@
-"""How deep skin lies in eyeballs, teeth and gums after random blends of drawn people, against their sources.
+"""How much deeper points of skin lie in eyeballs, teeth and gums after random blends of people than in their sources.
 
 Two people of the head in the box each, a share of 0, of 1 or between for every region, at rest and in ARKit's 52
 shapes. By teeth and gums the skin that counts is what rays meet with pressed lips, by eyeballs all around them. Its
@@ -36,9 +36,14 @@ from facepipe.verbs.blend.session import Solution
 
 PEOPLE = 40
 REGIONS = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "neck", "nose")
-BOUNDS = {"EyeballLeft": 0.1, "EyeballRight": 0.1, "Teeth": 0.3, "GumsAndTongue": 0.3}  # mm over the deeper source
+BOUNDS = {
+    "EyeballLeft": 0.1,
+    "EyeballRight": 0.1,
+    "Teeth": 0.3,
+    "GumsAndTongue": 0.3,
+}  # mm over the deeper source
 MOUTH = ("Teeth", "GumsAndTongue")
-_BEHIND_MM = 8.0  # inside a part: skin farther in is behind it
+_BEHIND_MM = 12.0  # of a part: skin farther away is not looked at
 
 _OUTSIDE_MM = 0.7  # of the plane at the nearest point
 
@@ -97,7 +102,7 @@ def measure(number: int, folder: Path, options: BlendOptions) -> dict:
 
 
 def deepest(session: BlendSession, solution: Solution) -> Figures:
-    """By part: how much deeper skin lies in it than in the deeper source, in the worst shape."""
+    """By part: the point that lies deepest in it beyond the source that has it deepest, in the worst shape."""
     sources, mm = session.sources, session.sources.mm_per_unit
     triangles = {
         mesh.name: point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).astype(np.int64) + int(start)
@@ -121,10 +126,15 @@ def deepest(session: BlendSession, solution: Solution) -> Figures:
             skin = skin[np.linalg.norm(sources.points[0, skin] - middle, axis=1) < reach]
         hard = np.unique(part)
         for shape, faces in _poses(solution, sources.points, mm, np.union1d(skin, hard)):
-            depths = [_deepest(points, skin, hard, part) for points in faces]
-            over = depths[-1] - max(depths[:-1])
-            if name not in found or over > found[name]["over_mm"]:
-                found[name] = {"over_mm": over, "shape": shape, "depths_mm": depths}
+            *theirs, own = (_depths(points, skin, hard, part) for points in faces)
+            # of teeth the deepest points of each, as lips slide over them; of eyeballs the same point
+            if name in MOUTH:
+                theirs, own = [depths.max(keepdims=True) for depths in theirs], own.max(keepdims=True)
+            over = own - np.max(theirs, axis=0)
+            worst = int(over.argmax())
+            if name not in found or over[worst] > found[name]["over_mm"]:
+                row = [float(depths[worst]) for depths in (*theirs, own)]
+                found[name] = {"over_mm": float(over[worst]), "shape": shape, "depths_mm": row}
     return found
 
 
@@ -150,21 +160,22 @@ def _poses(solution: Solution, sources: FloatArray, mm: float, watched: IntArray
             yield sculpt.name, [points * mm for points in posed]
 
 
-def _deepest(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntArray) -> float:
-    """mm that the deepest of the points `skin` lies inside the triangles (h, 3), whose points are `hard`."""
+def _depths(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntArray) -> FloatArray:
+    """(s,) mm that the points `skin` (s,) lie inside the triangles (h, 3), whose points are `hard`; 0 outside."""
     surface, local = points[hard], np.searchsorted(hard, triangles)
-    own, asked = point_normals(surface, local), points[skin]
+    own, depths = point_normals(surface, local), np.zeros(len(skin))
     # what is far from the part, or clearly outside of the plane at its nearest point, is left out: it takes long
-    far, near = cKDTree(surface).query(asked, distance_upper_bound=_BEHIND_MM + 2.0)
-    asked, near = asked[np.isfinite(far)], near[np.isfinite(far)]
-    asked = asked[np.einsum("mi,mi->m", asked - surface[near], own[near]) < _OUTSIDE_MM]
-    if not len(asked):
-        return 0.0
-    nearest = SurfaceSearch(surface, local).closest(asked)
-    shares = place_shares(nearest, surface, local)
-    normals = unit_vectors(np.einsum("mk,mkc->mc", shares, own[local[nearest.triangles]]))
-    inside = np.einsum("mi,mi->m", asked - nearest.places, normals) < 0
-    return float(nearest.distances[inside & (nearest.distances < _BEHIND_MM)].max(initial=0.0))
+    far, near = cKDTree(surface).query(points[skin], distance_upper_bound=_BEHIND_MM)
+    rows = np.flatnonzero(np.isfinite(far))
+    beside = np.einsum("mi,mi->m", points[skin[rows]] - surface[near[rows]], own[near[rows]])
+    rows = rows[beside < _OUTSIDE_MM]
+    if len(rows):
+        nearest = SurfaceSearch(surface, local).closest(points[skin[rows]])
+        shares = place_shares(nearest, surface, local)
+        normals = unit_vectors(np.einsum("mk,mkc->mc", shares, own[local[nearest.triangles]]))
+        inside = np.einsum("mi,mi->m", points[skin[rows]] - nearest.places, normals) < 0
+        depths[rows[inside]] = nearest.distances[inside]
+    return depths
 
 
 if __name__ == "__main__":

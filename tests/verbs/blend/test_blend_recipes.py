@@ -55,6 +55,15 @@ def test_recipes_without_alignment_are_of_before_there_was_one(folder: Path, ali
     assert read_kept("c.usda", BlendFaces).values["align"] == align
 
 
+@pytest.mark.parametrize(("contacts", "kept"), [(True, True), (False, None)])
+def test_recipes_without_contacts_are_of_before_they_were_held(folder: Path, contacts: bool, kept: bool | None) -> None:
+    action = BlendFaces(sources=(Path("a.usda"), Path("b.usda")), weights=Weights(), contacts=contacts)
+    recipe = recipe_to(action, Path("c.usda"))
+    assert recipe.options.get("contacts") == kept
+    save_parts(dataclasses.replace(made(0), recipe=recipe), Path("c.usda"))
+    assert read_kept("c.usda", BlendFaces).values["contacts"] == contacts
+
+
 def test_a_blend_has_the_recipe_given_or_none(folder: Path, capsys: Capsys) -> None:
     """Never that of its base, which says how another face was made."""
     old = Recipe(verb="sample", sources=("seed",), digests=("sha256:0",), options={"seed": 3}, version="0.1.0")
