@@ -11,6 +11,7 @@ from facepipe.geometry.gradient_system import GradientSystem
 
 _SOFT = 1e-3  # of the mean compliance, added to each: neighbours that ask for more than a smooth push gives
 _CHANGES = 20  # of the active set
+_MOST = 400  # demands at once, those that need most; the solve is dense, and a push that meets these meets most others
 
 
 class Demands(NamedTuple):
@@ -33,13 +34,10 @@ def least_push(system: GradientSystem, pose: FloatArray, free: BoolArray, demand
     from scipy.spatial import cKDTree
 
     asked = (demands.points >= 0) & free[demands.points]
-    some = asked.any(axis=1)
-    points, ways, needs = (
-        demands.points[some],
-        np.where(asked[some, :, None], demands.ways[some], 0.0),
-        demands.needs[some],
-    )
-    pushes = np.zeros(pose.shape)
+    free_ways = np.where(asked[..., None], demands.ways, 0.0)
+    some = np.flatnonzero(free_ways.any(axis=(1, 2)))
+    some = np.sort(some[np.argsort(-demands.needs[some], kind="stable")[:_MOST]])
+    points, ways, needs, pushes = demands.points[some], free_ways[some], demands.needs[some], np.zeros(pose.shape)
     if not len(needs):
         return pushes
     involved = np.unique(points[asked[some]])

@@ -10,18 +10,16 @@ from facepipe.geometry.local_push import Demands, least_push
 from facepipe.geometry.polygons import triangle_normals
 from facepipe.verbs.blend.folds import Folds
 
-SIDE = 15
 
-
-def sheet() -> tuple[np.ndarray, np.ndarray, GradientSystem]:
+def sheet(side: int = 15) -> tuple[np.ndarray, np.ndarray, GradientSystem]:
     """A square of points one apart, its triangles, and the system of its edges."""
-    x, y = np.meshgrid(np.arange(SIDE), np.arange(SIDE))
-    points = np.stack([x.ravel(), y.ravel(), np.zeros(SIDE * SIDE)], axis=1).astype(np.float64)
-    corner = (np.arange(SIDE - 1)[:, None] * SIDE + np.arange(SIDE - 1)).ravel()
+    x, y = np.meshgrid(np.arange(side), np.arange(side))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(side * side)], axis=1).astype(np.float64)
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
     triangles = np.concatenate(
         [
-            np.stack([corner, corner + 1, corner + SIDE], axis=1),
-            np.stack([corner + 1, corner + SIDE + 1, corner + SIDE], axis=1),
+            np.stack([corner, corner + 1, corner + side], axis=1),
+            np.stack([corner + 1, corner + side + 1, corner + side], axis=1),
         ]
     )
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
@@ -65,6 +63,17 @@ def test_demands_on_points_that_are_held_are_left_out() -> None:
     free = np.zeros(len(points), bool)
     assert not least_push(system, points, free, demands([112], np.eye(3)[[2]], [1.0]), 4.0).any()
     assert not least_push(system, points, ~free, demands([], np.zeros((0, 3)), []), 4.0).any()
+    assert not least_push(system, points, ~free, demands([112], np.zeros((1, 3)), [1.0]), 4.0).any()
+
+
+def test_of_more_demands_than_can_be_solved_at_once_the_largest_are_met() -> None:
+    points, _, system = sheet(25)
+    free = np.ones(len(points), bool)
+    free[0] = False
+    many = list(range(1, len(points)))
+    needs = np.where(np.isin(many, [100, 200, 300]), 1.0, 0.01 * points[many, 0] / 25)
+    pushed = least_push(system, points, free, demands(many, np.tile([0.0, 0.0, 1.0], (len(many), 1)), needs), 3.0)
+    assert (pushed[[100, 200, 300], 2] > 0.9).all()
 
 
 def test_a_triangle_that_is_turned_over_turns_back() -> None:
