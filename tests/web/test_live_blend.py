@@ -86,7 +86,7 @@ def test_a_source_that_is_gone(child: Path) -> None:
         (b"{", "blend: no request"),
         (b'{"weights": 3, "wanted": "points"}', "blend: no request"),
         (b'{"weights": {"mouth": [1]}, "wanted": "points"}', "weights -> mouth: 1 weights, expected 2"),
-        (b'{"weights": {"mouth": [0, 0]}, "wanted": "face"}', "weights -> mouth: all weights are 0"),
+        (b'{"weights": {"mouth": [0, 0]}, "wanted": "face"}', "weights -> mouth: no weight above 0"),
         (b'{"weights": {"beard": [0, 1]}, "wanted": "face"}', "weights -> beard: no such region"),
         (b'{"weights": {"mouth": [NaN, 1]}, "wanted": "points"}', "weights -> regions -> mouth -> 0: nan"),
         (b'{"weights": {}, "wanted": "more"}', "blend: expected points or face"),
