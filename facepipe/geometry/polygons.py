@@ -156,9 +156,9 @@ def small_holes(points: FloatArray, triangles: IntArray, largest: float) -> list
     return loops
 
 
-def border_points(points: FloatArray, triangles: IntArray) -> IntArray:
-    """The points (b,) on edges of one triangle of an oriented manifold."""
-    return np.array(sorted(_border_steps(triangles, len(points))), dtype=np.int64)
+def border_points(count: int, triangles: IntArray) -> IntArray:
+    """The points (b,), of `count`, on edges of one triangle of an oriented manifold."""
+    return np.array(sorted(_border_steps(triangles, count)), dtype=np.int64)
 
 
 def _border_steps(triangles: IntArray, count: int) -> dict[int, int]:

@@ -274,4 +274,4 @@ def test_border_points_are_on_edges_that_no_other_triangle_runs_back_along(share
     kept = triangles[np.random.default_rng(5).random(len(triangles)) >= share]
     runs = {(int(row[i]), int(row[(i + 1) % 3])) for row in kept for i in range(3)}
     expected = {end for start, end in runs if (end, start) not in runs}
-    assert set(border_points(points, kept).tolist()) == expected
+    assert set(border_points(len(points), kept).tolist()) == expected

@@ -343,7 +343,7 @@ class _Search:
         if self.surface.cloud:
             return ended
         part = self._part(shown)
-        ends = part.points[border_points(part.points, part.triangles)]
+        ends = part.points[border_points(len(part.points), part.triangles)]
         if len(ends):  # the jaw alone: features lie inside of what scans show
             ended[:_JAW] |= cKDTree(ends).query(places[:_JAW])[0] < _END * shown.frame.side
         return ended

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +12,11 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.geometry.balls import RadialSurface, fit_ball
+from facepipe.geometry.closest_points import closest_among, place_shares
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import point_areas, point_normals
+from facepipe.geometry.polygons import border_points, point_areas, point_normals
 from facepipe.geometry.similarity import fit_similarity
+from facepipe.geometry.vectors import unit_vectors
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
 from facepipe.verbs.blend.graph import Graph
 from facepipe.verbs.blend.sources import Sources
@@ -23,8 +26,7 @@ _LARGE = 0.5  # area of a component, relative to the largest of its part, from w
 _AROUND = 2.0  # radii from an eyeball's centre within which skin is looked at
 _NEAR_MM = 30.0  # from teeth and gums at rest within which skin is looked at: jaws open as far
 _DEEPEST_MM = 3.0  # from a surface up to which skin is in it, not behind it
-_PLANES = 2  # nearest points whose planes are looked at in sources
-_BEHIND = 4.0  # times as far sources are looked at: what is behind in one of them is let through the whole body
+_NEAREST = 6  # points of a surface whose triangles are looked at: of 4, one place in 2,000 is not the nearest
 _LIPS_MM = 16.0  # from the outer lips' landmarks, along the skin: what may meet the other lip
 _JOINED_MM = 3.0  # along the skin from the other lip: lips that are joined there, at corners
 _HARD = ("teeth", "tooth", "gum")  # in names of meshes
@@ -42,6 +44,20 @@ class Body:
     ball: IntArray | None = None  # (q,) all points of an eyeball, which is met along rays from its centre
     soft: bool = False  # skin itself, the other lip: it gives way too
     facing: IntArray | None = None  # (f, 3) triangles into `skin`, of lips
+
+    @cached_property
+    def around(self) -> Any:
+        """Sparse (p, t): the triangles of every point."""
+        from scipy import sparse
+
+        count = len(self.triangles)
+        rows, columns = self.triangles.ravel(), np.repeat(np.arange(count), 3)
+        return sparse.csr_array((np.ones(rows.size, np.int8), (rows, columns)), shape=(len(self.points), count))
+
+    @cached_property
+    def border(self) -> BoolArray:
+        """(p,) points at the border of an open surface."""
+        return np.isin(np.arange(len(self.points)), border_points(len(self.points), self.triangles))
 
 
 class Touching(NamedTuple):
@@ -92,32 +108,39 @@ class Surface:
             out = points[rows] - self.ball.centre
             out /= np.maximum(np.linalg.norm(out, axis=1), np.finfo(np.float64).tiny)[:, None]
             return Touching(rows, depths[rows], out, np.full(len(rows), -1))
-        # by the plane at the nearest point: its triangles take ten times as long, and what counts is how much farther
-        # in the blend is than the sources, which are looked at in the same way
         far, nearest = self._tree.query(points, distance_upper_bound=self._deepest)
         rows = np.flatnonzero(np.isfinite(far))
-        nearest = nearest[rows]
-        out = self._normals[nearest]
-        depths = -np.einsum("mi,mi->m", points[rows] - self._points[nearest], out)
-        # beside the border of an open surface is not behind it
-        inside = (depths > 0) & (far[rows] ** 2 - depths**2 < self._spacing[nearest] ** 2)
+        beyond = np.einsum("mi,mi->m", points[rows] - self._points[nearest[rows]], self._normals[nearest[rows]])
+        rows = rows[beyond < self._spacing[nearest[rows]]]  # what is clearly outside of the plane there takes long
+        depths, ways = self._depths(points[rows])
+        inside = depths > 0
         if self.body.soft:
-            inside &= np.einsum("mi,mi->m", out, normals[rows]) < 0  # lips face each other
-        rows, nearest = rows[inside], nearest[inside]
-        leaders = self.body.points[nearest] if self.body.soft else np.full(len(rows), -1)
-        return Touching(rows, depths[inside], out[inside], leaders)
+            inside &= np.einsum("mi,mi->m", ways, normals[rows]) < 0  # lips face each other
+        rows = rows[inside]
+        leaders = self.body.points[nearest[rows]] if self.body.soft else np.full(len(rows), -1)
+        return Touching(rows, depths[inside], ways[inside], leaders)
 
     def depths(self, points: FloatArray) -> FloatArray:
-        """(m,) how deep `points` (m, 3) lie in the body, or behind it, taken generously: it is what is let through."""
-        if self.ball is not None:
-            return self.ball.depths(points)
-        far, nearest = self._tree.query(
-            points, k=np.arange(1, _PLANES + 1), distance_upper_bound=_BEHIND * self._deepest
-        )
-        found = np.isfinite(far)
-        nearest = np.where(found, nearest, 0)
-        depths = -np.einsum("mki,mki->mk", points[:, None] - self._points[nearest], self._normals[nearest])
-        return np.asarray(np.where(found, depths, 0.0).max(axis=1).clip(0.0))
+        """(m,) how deep `points` (m, 3) lie in the body, or behind it; 0 outside."""
+        return self.ball.depths(points) if self.ball is not None else self._depths(points)[0].clip(0.0)
+
+    def _depths(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m,) how deep `points` (m, 3) lie below the nearest place of the surface, and (m, 3) the way out there.
+
+        By the planes at its nearest points alone, a tooth's edge let lips 0.8 mm deeper than in any source.
+        """
+        body = self.body
+        _, near = self._tree.query(points, k=np.arange(1, min(_NEAREST, len(self._points)) + 1))
+        pairs = body.around[near.ravel()].tocoo()
+        owners = (pairs.row // near.shape[1]).astype(np.int64)
+        places = closest_among(points, self._points, body.triangles, owners, pairs.col.astype(np.int64))
+        corners, shares = body.triangles[places.triangles], place_shares(places, self._points, body.triangles)
+        out = unit_vectors(np.einsum("mk,mki->mi", shares, self._normals[corners]))
+        far = np.where(np.isfinite(places.distances), places.distances, 0.0)  # a lip's last points have no triangle
+        depths: FloatArray = -np.sign(np.einsum("mi,mi->m", points - places.places, out)) * far
+        # beside the border of an open surface is not behind it
+        depths[(body.border[corners] | (shares == 0)).all(axis=1)] = 0.0
+        return depths, out
 
 
 class Stand:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from blend_faces import by_region, head, misaligned, only_shapes, rolling_eyes
 from scipy.spatial.transform import Rotation
 
@@ -17,6 +18,7 @@ from facepipe.heads.people import draw
 from facepipe.parts import FaceParts, Mesh
 from facepipe.stage import Face
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.bodies import Body, Surface
 from facepipe.verbs.blend.contacts import Motion
 from facepipe.verbs.blend.quality import Contact, contacts
 from facepipe.verbs.blend.session import Solution
@@ -32,6 +34,20 @@ def solved() -> tuple[BlendSession, Solution]:
     faces = [Face.from_parts(parts[0]), Face.from_parts(misaligned(parts[1]))]
     blend = BlendSession(faces, BlendOptions(contacts=False))
     return blend, blend.solve(by_region("features"))
+
+
+def test_depths_are_distances_to_the_nearest_place_at_sharp_edges_too() -> None:
+    tooth = trimesh.creation.box((4.0, 2.0, 6.0)).subdivide().subdivide().subdivide()  # type: ignore[no-untyped-call]
+    body = Body("Teeth", np.arange(len(tooth.vertices)), np.asarray(tooth.faces), np.zeros(0, np.int64))
+    surface = Surface(body, np.asarray(tooth.vertices), None, 3.0)
+    points = np.random.default_rng(3).uniform(-1.0, 1.0, (2000, 3)) * (2.5, 1.5, 3.5)
+    deep = (np.array([2.0, 1.0, 3.0]) - np.abs(points)).min(axis=1)  # of a box, below its nearest side
+    inside = deep > 0
+    np.testing.assert_allclose(surface.depths(points)[inside], deep[inside], atol=1e-9)
+    assert not surface.depths(points[~inside]).any()
+    touching = surface.touching(points, np.zeros_like(points))
+    np.testing.assert_array_equal(touching.rows, np.flatnonzero(inside))
+    np.testing.assert_allclose(touching.depths, deep[inside], atol=1e-9)
 
 
 def seen(blend: BlendSession, solution: Solution) -> dict[str, Contact]:
