@@ -50,15 +50,24 @@ def with_marks(
     :param body: the template
     :param anew: put its anchor in place of the head's own
     """
-    # on the mesh that has most of the skin: landmarks of a scheme lie on one mesh
-    counts = [len(mesh.points) for mesh in meshes]
-    on_skin = np.isin(head.surface.group, skin)
-    chosen = int(np.argmax([part.sum() for part in np.split(on_skin, np.cumsum(counts)[:-1])]))
-    start = int(np.sum(counts[:chosen]))
-    rows = start + np.flatnonzero(on_skin[start : start + counts[chosen]])
+    chosen, own, points = face_mesh(head, skin)
     mesh = replace(meshes[chosen], anchor=None) if anew else meshes[chosen]
-    marked = _marked(mesh, body, fit.points, fit.place.apply(head.points[rows]), rows - start)
+    marked = _marked(mesh, body, fit.points, fit.place.apply(points), own)
     return [marked if number == chosen else one for number, one in enumerate(meshes)]
+
+
+def face_mesh(head: Head, skin: IntArray) -> tuple[int, IntArray, FloatArray]:
+    """The mesh that has most of the skin, its points (k,) of that, and their places (k, 3).
+
+    Landmarks of a scheme lie on one mesh.
+
+    :param skin: (m,) sewn points of the head
+    """
+    ends = np.cumsum([len(mesh.points) for mesh in head.parts.meshes])[:-1]
+    on_skin = np.split(np.isin(head.surface.group, skin), ends)
+    chosen = int(np.argmax([part.sum() for part in on_skin]))
+    own = np.flatnonzero(on_skin[chosen])
+    return chosen, own, np.split(head.points, ends)[chosen][own]
 
 
 def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray, own: IntArray) -> Mesh:

@@ -7,12 +7,12 @@ with what the head's differs from that by around.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.threads import one_thread
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts, Landmarks
@@ -23,7 +23,7 @@ from facepipe.scanning.transfer.carry import FADE_MM, Carrier, Fill, screened
 from facepipe.scanning.transfer.finish import is_by_lids
 from facepipe.scanning.transfer.fit import HeadFit
 from facepipe.scanning.transfer.head import Head
-from facepipe.scanning.transfer.marks import own_points
+from facepipe.scanning.transfer.marks import face_mesh, own_points
 from facepipe.scanning.transfer.mesh import HeadMesh
 from facepipe.scanning.transfer.sides import banks_of
 from facepipe.scans import LANDMARK_SCHEME
@@ -117,11 +117,8 @@ def _marked(head: Head, marks: FloatArray) -> FaceParts:
     parts = head.parts
     if any(LANDMARK_SCHEME in mesh.landmarks for mesh in parts.meshes):
         return parts
-    counts = [len(mesh.points) for mesh in parts.meshes]
-    pieces: Sequence[BoolArray] = np.split(np.isin(head.surface.group, head.skin()), np.cumsum(counts)[:-1])
-    chosen = int(np.argmax([piece.sum() for piece in pieces]))
-    own: IntArray = np.flatnonzero(pieces[chosen])
-    indices = own[own_points(marks, head.points[sum(counts[:chosen]) + own])]
+    chosen, own, points = face_mesh(head, head.skin())
+    indices = own[own_points(marks, points)]
     meshes = list(parts.meshes)
     landmarks = {**meshes[chosen].landmarks, LANDMARK_SCHEME: Landmarks(indices=indices.astype(np.int32))}
     meshes[chosen] = replace(meshes[chosen], landmarks=landmarks)
