@@ -112,8 +112,8 @@ class Surface:
         rows = np.flatnonzero(np.isfinite(far))
         beyond = np.einsum("mi,mi->m", points[rows] - self._points[nearest[rows]], self._normals[nearest[rows]])
         rows = rows[beyond < self._spacing[nearest[rows]]]  # what is clearly outside of the plane there takes long
-        depths, ways = self._depths(points[rows])
-        inside = depths > 0
+        depths, ways, beside = self._depths(points[rows])
+        inside = (depths > 0) & ~beside
         if self.body.soft:
             inside &= np.einsum("mi,mi->m", ways, normals[rows]) < 0  # lips face each other
         rows = rows[inside]
@@ -121,11 +121,12 @@ class Surface:
         return Touching(rows, depths[inside], ways[inside], leaders)
 
     def depths(self, points: FloatArray) -> FloatArray:
-        """(m,) how deep `points` (m, 3) lie in the body, or behind it; 0 outside."""
+        """(m,) how deep `points` (m, 3) lie in the body, behind it or its border: it is what is let through."""
         return self.ball.depths(points) if self.ball is not None else self._depths(points)[0].clip(0.0)
 
-    def _depths(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(m,) how deep `points` (m, 3) lie below the nearest place of the surface, and (m, 3) the way out there.
+    def _depths(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """(m,) how deep `points` (m, 3) lie below the nearest place of the surface, (m, 3) the way out there, and
+        whether (m,) it is on the border of an open surface, beside which nothing is inside.
 
         By the planes at its nearest points alone, a tooth's edge let lips 0.8 mm deeper than in any source.
         """
@@ -138,9 +139,7 @@ class Surface:
         out = unit_vectors(np.einsum("mk,mki->mi", shares, self._normals[corners]))
         far = np.where(np.isfinite(places.distances), places.distances, 0.0)  # a lip's last points have no triangle
         depths: FloatArray = -np.sign(np.einsum("mi,mi->m", points - places.places, out)) * far
-        # beside the border of an open surface is not behind it
-        depths[(body.border[corners] | (shares == 0)).all(axis=1)] = 0.0
-        return depths, out
+        return depths, out, (body.border[corners] | (shares == 0)).all(axis=1)
 
 
 class Stand:
