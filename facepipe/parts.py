@@ -346,6 +346,37 @@ Color = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
+class WrinkleRegion:
+    """Wrinkles that come together. They are as strong as the sum of shape weights times gains, within 0..1."""
+
+    name: str
+    mask: TextureInput  # one channel: where they are
+    shapes: tuple[tuple[str, float], ...]  # (blendshape name, gain)
+
+    def strength(self, weights: Mapping[str, float]) -> float:
+        """How strong shape weights make them, 0..1."""
+        return min(max(sum(gain * weights.get(shape, 0.0) for shape, gain in self.shapes), 0.0), 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrinkles:
+    """Wrinkles of a skin at full strength, which its shapes draw on it region by region.
+
+    Where the strengths of regions times their masks sum to s, at most 1, the skin has its own tangent-space normal with
+    s times x and y of `normal` added to its x and y, and its base colour times ``1 + s * (tint - 1)``.
+    """
+
+    normal: TextureInput  # tangent space, x and y by scale 2 and bias -1
+    tint: TextureInput  # factor of the linear base colour: data, no sRGB
+    regions: tuple[WrinkleRegion, ...]
+
+    @property
+    def inputs(self) -> tuple[TextureInput, ...]:
+        """All that is read from textures."""
+        return (self.normal, self.tint, *(region.mask for region in self.regions))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Material:
     """A UsdPreviewSurface in the metallic workflow; each input is a value or a texture. Colours are linear."""
 
@@ -363,7 +394,14 @@ class Material:
     clearcoat_roughness: float | TextureInput = 0.01
     unlit: bool = False  # shown as its colour is, without light: glTF's KHR_materials_unlit, which USD has no word for
     variants: Mapping[str, str] = field(default_factory=dict)  # variant of the face -> material shown in its place
+    wrinkles: Wrinkles | None = None
     label: str | None = None  # as of a blendshape
+
+    @property
+    def textures(self) -> tuple[Texture, ...]:
+        """Every texture that it reads, those of its wrinkles too."""
+        own = (*self.textured.values(), *(self.wrinkles.inputs if self.wrinkles else ()))
+        return tuple(used.texture for used in own)
 
     @property
     def textured(self) -> dict[str, TextureInput]:
@@ -372,9 +410,18 @@ class Material:
 
     def with_textures(self, change: Callable[[Texture], Texture]) -> Material:
         """The material with other textures in place of its own."""
-        inputs: dict[str, Any] = {
-            name: replace(used, texture=change(used.texture)) for name, used in self.textured.items()
-        }
+
+        def changed(used: TextureInput) -> TextureInput:
+            return replace(used, texture=change(used.texture))
+
+        inputs: dict[str, Any] = {name: changed(used) for name, used in self.textured.items()}
+        if self.wrinkles is not None:
+            inputs["wrinkles"] = replace(
+                self.wrinkles,
+                normal=changed(self.wrinkles.normal),
+                tint=changed(self.wrinkles.tint),
+                regions=tuple(replace(one, mask=changed(one.mask)) for one in self.wrinkles.regions),
+            )
         return replace(self, **inputs)
 
 

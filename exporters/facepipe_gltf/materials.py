@@ -222,6 +222,7 @@ class MaterialWriter:
             if source.ior != 1.5:
                 self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
             self._clearcoat(result, source, uv_names)
+            self._wrinkles(result, source, uv_names)
             if source.unlit:
                 self._extend(result, "KHR_materials_unlit", {})
             self.materials.append(result)
@@ -367,6 +368,26 @@ class MaterialWriter:
             if image is not None:
                 coat[f"{name}Texture"] = self.textures.info(image, value, uv_names)
         self._extend(result, "KHR_materials_clearcoat", coat)
+
+    def _wrinkles(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
+        """What glTF has no word for, in extras: other readers show the skin without."""
+        wrinkles = material.wrinkles
+        if wrinkles is None or "normalTexture" not in result:
+            return
+        images = [self.textures.whole(used.texture) for used in wrinkles.inputs]
+        if None in images:
+            self.textures.warn(f"{material.name}: wrinkles left out")
+            return
+        normal, tint, *masks = (
+            self.textures.info(image, used, uv_names)
+            for image, used in zip(images, wrinkles.inputs, strict=True)
+            if image is not None
+        )
+        regions = [
+            {"name": one.name, "mask": mask, "channel": one.mask.channels, "shapes": dict(one.shapes)}
+            for one, mask in zip(wrinkles.regions, masks, strict=True)
+        ]
+        result["extras"] = {"facepipe": {"wrinkles": {"normal": normal, "tint": tint, "regions": regions}}}
 
     def _merge(self, material: Material, role: str, channels: Sequence[Channel]) -> int | None:
         """An image of these channels, as large as the largest texture; None where a texture can't be read."""

@@ -11,6 +11,8 @@ RECIPE_API = "FacepipeRecipeAPI"
 REGION_API = "FacepipeRegionAPI"
 SLIDER_API = "FacepipeSliderAPI"
 SLIDER_NETWORK_API = "FacepipeSliderNetworkAPI"
+WRINKLE_API = "FacepipeWrinkleAPI"
+WRINKLES_API = "FacepipeWrinklesAPI"
 
 ATTACH_JOINT = "facepipe:attachJoint"
 ATTRIBUTION = "facepipe:attribution"
@@ -50,6 +52,9 @@ RECIPE_SOURCES = "facepipe:recipe:sources"
 RECIPE_DIGESTS = "facepipe:recipe:digests"
 RECIPE_OPTIONS = "facepipe:recipe:options"
 RECIPE_VERSION = "facepipe:recipe:version"
+WRINKLES_NORMAL = "facepipe:wrinkles:normal"
+WRINKLES_TINT = "facepipe:wrinkles:tint"
+WRINKLES_UV_SET = "facepipe:wrinkles:uvSet"
 
 UNLIT = "facepipe:unlit"  # customData of a Material: shown as its colours are, without light
 DATA_LABEL = "facepipe:dataLabel"  # customData of a Mesh: what its source calls the geometry
@@ -58,6 +63,7 @@ SEAM_RESIDUAL = "facepipe:seamResidual"  # a primvar: float per point, millimetr
 SCANNED = "facepipe:scanned"  # a primvar: float per point, 1 where the scan of an expression showed it, 0 elsewhere
 LANDMARKS_PREFIX = "facepipe:landmarks:"
 SLIDER_PREFIX = "facepipe:slider:"
+WRINKLE_PREFIX = "facepipe:wrinkle:"
 CONTROL_PREFIX = "facepipe:control:"  # of rigs that facepipe doesn't know: numbers with time samples
 
 LEVELS = "lod"  # the variant set of a face's levels of detail: lod0, lod1 ...

@@ -6,6 +6,10 @@ is coarse is made of the place in space, so that both tiles agree where they mee
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
 from io import BytesIO
 from typing import Any
 
@@ -61,6 +65,43 @@ def _places(tile: int) -> FloatArray:
     return arrays("skin_maps")[f"{TILES[tile]}_places"].astype(np.float32)
 
 
+@cache
+def wrinkle_table() -> Mapping[str, Any]:
+    """Region -> the picture and channel of its mask, its strength at rest in the oldest, and gains of shapes."""
+    table: dict[str, Any] = json.loads((files("facepipe.heads") / "data" / "wrinkles.json").read_text("utf-8"))
+    return table
+
+
+def _picture(name: str, size: int) -> Any:
+    """(size, size, 3) bytes of a picture of the package."""
+    from PIL import Image
+
+    with Image.open(BytesIO((files("facepipe.heads") / "data" / name).read_bytes())) as image:
+        return _enlarged(np.asarray(image), size)
+
+
+def at_rest(look: Look) -> dict[str, float]:
+    """How strong wrinkles are without any expression, by region, 0..1: none below thirty, no two people alike."""
+    share = float(np.clip((look.age - 0.15) / 0.85, 0, 1))
+    own = np.random.default_rng((look.seed, 300)).uniform(0.75, 1.2, len(wrinkle_table()))
+    return {name: float(row["old"] * share * own[i]) for i, (name, row) in enumerate(sorted(wrinkle_table().items()))}
+
+
+def _creases(look: Look, tile: int, size: int) -> FloatArray | None:
+    """(size, size) strength of wrinkles at rest; None where there are none."""
+    strengths = at_rest(look)
+    if TILES[tile] != "face" or not any(strengths.values()):
+        return None
+    masks: dict[str, FloatArray] = {}
+    total = np.zeros((256, 256), np.float32)
+    for name, row in wrinkle_table().items():
+        number, channel = row["mask"]
+        if number not in masks:
+            masks[number] = _picture(f"wrinkles_mask{number}.png", 256)
+        total += np.float32(strengths[name] / 255) * masks[number][..., "rgb".index(channel)]
+    return np.asarray(_enlarged(np.minimum(total, 1), size))
+
+
 def _noise(look: Look, tile: int, wavelength: float, number: int, step: int = 1) -> FloatArray:
     """(512 / step, 512 / step) smooth noise of unit variance over space."""
     lattice = np.random.default_rng((look.seed, number)).standard_normal((24, 24, 24)).astype(np.float32)
@@ -87,6 +128,9 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
         amount[..., None] * tint for amount, tint in ((blood, _BLOOD), (melanin, _MELANIN), (shade, _SHADE))
     )
     colors = np.exp(colors)
+    creases = _creases(look, tile, 512 // step)
+    if creases is not None:
+        colors *= 1 + creases[..., None] * (_picture("wrinkles_tint.jpg", 512 // step) / 255 - 1)
     hair = np.clip(scalp * m["scalp"] * (1 + 0.1 * middle), 0, 1)
     tint = np.minimum(0.8 * look.hair_color + 0.03 * look.skin, 0.15 * look.hair_color + 0.55 * look.skin)
     colors = _mix(colors, tint, hair)
@@ -167,15 +211,14 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
     height += 0.0016 * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
     height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
-    # lines of forehead and neck
-    wave, y = _noise(look, tile, 2.6, 7), _enlarged(places[..., 1], 512)
-    across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
-    forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
-    rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]
-    height += _enlarged(np.asarray(-0.022 * look.age * (forehead + 0.2 * rings)), size)
     slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
     up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     normals = np.empty((size, size, 3), np.uint8)
     for axis, side in enumerate((*slopes, 1)):
         normals[..., axis] = 128 + side * up
+    creases = _creases(look, tile, size)
+    if creases is not None:
+        folds = _picture("wrinkles_normal.jpg", size)
+        for axis in range(2):
+            normals[..., axis] = np.clip(normals[..., axis] + creases * (folds[..., axis] - np.float32(128)), 0, 255)
     return np.asarray(normals)

@@ -22,10 +22,23 @@ from facepipe.heads import skin
 from facepipe.heads.asset import STEP, arrays
 from facepipe.heads.people import IRIS, STYLES, Look
 from facepipe.heads.skin import jpeg
-from facepipe.parts import Blendshape, Color, FaceParts, Inbetween, Material, Mesh, Texture, TextureInput, UvSet
+from facepipe.parts import (
+    Blendshape,
+    Color,
+    FaceParts,
+    Inbetween,
+    Material,
+    Mesh,
+    Texture,
+    TextureInput,
+    UvSet,
+    WrinkleRegion,
+    Wrinkles,
+)
 
 SMALLEST = 16  # texels a side
 SKIN = ("M_Face", "M_BackHead")  # of the skin's tiles
+_YOUNG = 0.75  # how strong the youngest wrinkle
 _STEP = 4  # texels from one point of the head to the next
 _GREY = 0.35  # linear, the mean of the pictures of hairs
 _LASHES = np.array([0.012, 0.009, 0.008])
@@ -79,6 +92,29 @@ def _skin(look: Look, size: int, tile: int) -> Material:
         occlusion=TextureInput(texture=packed, channels="r"),
         normal=TextureInput(texture=relief, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0)),
         ior=1.4,
+        wrinkles=_wrinkles(look) if skin.TILES[tile] == "face" else None,
+    )
+
+
+def _wrinkles(look: Look) -> Wrinkles:
+    """What shapes draw on the face's tile: less on young skin, and none of what is there at rest."""
+    table, at_rest = skin.wrinkle_table(), skin.at_rest(look)
+    masks = {row["mask"][0]: picture_of(f"wrinkles_mask{row['mask'][0]}.png") for row in table.values()}
+    normal = TextureInput(
+        texture=picture_of("wrinkles_normal.jpg"), scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0)
+    )
+    firm = _YOUNG + (1 - _YOUNG) * float(np.clip(look.age, 0, 1))
+    return Wrinkles(
+        normal=normal,
+        tint=TextureInput(texture=picture_of("wrinkles_tint.jpg")),
+        regions=tuple(
+            WrinkleRegion(
+                name=name,
+                mask=TextureInput(texture=masks[row["mask"][0]], channels=row["mask"][1]),
+                shapes=tuple((shape, round(gain * (firm - at_rest[name]), 3)) for shape, gain in row["shapes"].items()),
+            )
+            for name, row in sorted(table.items())
+        ),
     )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,6 +50,7 @@ class PictureOptions:
     camera: Camera | None = None  # of a picture `size` pixels a side, in the Y-up world; instead of view and framing
     studio: Studio | Portrait | None = None  # lights; None: portrait light, or even light where colours must be read
     backdrop: FloatArray | None = None  # (size, size, 3) sRGB 0..1 picture behind the face, instead of `background`
+    weights: Mapping[str, float] = field(default_factory=dict)  # of the shapes in the points: what wrinkles skin
 
     def __post_init__(self) -> None:
         if self.heatmap is not None and self.regions is not None:
@@ -99,7 +100,7 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
             right = overlay.bar_width(options.size)
         points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
         camera = portrait(points[used], options.view, options.size, options.size, right)
-    shader = Shader(scene, camera, options.heatmap, paint, options.studio)
+    shader = Shader(scene, camera, options.heatmap, paint, options.studio, options.weights)
     if options.backdrop is not None:
         behind = np.asarray(options.backdrop, dtype=np.float32)
     else:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property, partial
 from typing import Any, TypeVar
 
@@ -66,9 +66,11 @@ class Surfaces:
 class Materials:
     """The materials of a scene as one camera sees them."""
 
-    def __init__(self, scene: Scene, camera: Camera) -> None:
+    def __init__(self, scene: Scene, camera: Camera, weights: Mapping[str, float]) -> None:
+        """:param weights: of shapes, which wrinkle the skin"""
         self._scene, self._camera = scene, camera
-        self._each = [surface.material or _PLAIN for surface in scene.surfaces]
+        self._each = [_wrinkled(surface.material or _PLAIN, weights) for surface in scene.surfaces]
+        self._weights = weights
         uv_sets = {one.uv_set for material in self._each for one in _inputs(material)}
         self._layouts = {name: _layout(scene, camera, name) for name in uv_sets}
 
@@ -130,8 +132,11 @@ class Materials:
                     )
                     surfaces.gloss[at] = 1 - (1 - _STRANDS) * matt
                     surfaces.through[at] = _THROUGH * matt
+                folds = self._folds(material, own_ids, own_weights)
+                if folds is not None:
+                    surfaces.base[at] *= folds[0]
                 if material.normal is not None:
-                    self._bend(material.normal, surfaces, at, own_ids, own_weights)
+                    self._bend(material.normal, surfaces, at, own_ids, own_weights, None if folds is None else folds[1])
         metal = surfaces.metallic[:, None]
         surfaces.mirror[:] += (surfaces.base - surfaces.mirror) * metal
         return surfaces
@@ -166,23 +171,52 @@ class Materials:
         footprint = layout.longest if whole else layout.footprint
         return self._scene.textures.sample(source, uv, footprint[ids], color=color)
 
+    def _folds(
+        self, material: Material, ids: IntArray, weights: Float32Array
+    ) -> tuple[Float32Array, Float32Array] | None:
+        """Factor of the colour (m, 3), and x and y (m, 2) to add to the normal map's; None: nothing is wrinkled."""
+        if material.wrinkles is None:
+            return None
+        reads = [
+            (region.strength(self._weights), self._read(region.mask, ids, weights))
+            for region in material.wrinkles.regions
+        ]
+        tint = self._read(material.wrinkles.tint, ids, weights, color=False)
+        normal = self._read(material.wrinkles.normal, ids, weights, color=False)
+        if tint is None or normal is None:
+            return None
+        strengths = (np.float32(strength) * mask[0] for strength, mask in reads if mask is not None)
+        share = np.minimum(sum(strengths, np.zeros((len(ids), 1), np.float32)), 1)
+        return 1 + share * (tint[0] - 1), share * normal[0][:, :2]
+
     def _bend(
-        self, source: TextureInput, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Float32Array
+        self,
+        source: TextureInput,
+        surfaces: Surfaces,
+        at: IntArray,
+        ids: IntArray,
+        weights: Float32Array,
+        folds: Float32Array | None,
     ) -> None:
-        """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""
+        """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead.
+
+        :param folds: (m, 2) what is added to x and y
+        """
         if source.scale[:2] == (1.0, 1.0):  # files that don't author scale and bias mean 2 and -1
             source = replace(source, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
         read = self._read(source, ids, weights, color=False)
         if read is None:
             return
         texel, layout = read[0], self._layouts[source.uv_set]
+        # Toksvig 2005: averaged normals are shorter, by as much as they vary.
+        length = np.clip(np.sqrt(np.einsum("mc,mc->m", texel, texel)), 0.5, 1.0)
+        surfaces.roughness[at] = np.minimum((surfaces.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
+        if folds is not None:
+            texel[:, :2] += folds
         outward = surfaces.normals[at]
         bent = layout.along[ids] * texel[:, :1] + layout.across[ids] * texel[:, 1:2]
         bent += outward * (np.maximum(texel[:, 2], 0.05) - np.einsum("mc,mc->m", bent, outward))[:, None]
         surfaces.normals[at] = _unit(bent)
-        # Toksvig 2005: averaged normals are shorter, by as much as they vary.
-        length = np.clip(np.sqrt(np.einsum("mc,mc->m", texel, texel)), 0.5, 1.0)
-        surfaces.roughness[at] = np.minimum((surfaces.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
 
     @cached_property
     def _table(self) -> Float32Array:
@@ -240,10 +274,19 @@ def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
     )
 
 
+def _wrinkled(material: Material, weights: Mapping[str, float]) -> Material:
+    """The material with those regions of wrinkles alone that shape weights draw, or none."""
+    if material.wrinkles is None or material.normal is None:
+        return replace(material, wrinkles=None)
+    drawn = tuple(region for region in material.wrinkles.regions if region.strength(weights) > 0)
+    return replace(material, wrinkles=replace(material.wrinkles, regions=drawn) if drawn else None)
+
+
 def _inputs(material: Material) -> list[TextureInput]:
     """What a material reads from textures."""
     values = (getattr(material, name) for name in _TEXTURED)
-    return [value for value in values if isinstance(value, TextureInput)]
+    own = [value for value in values if isinstance(value, TextureInput)]
+    return own if material.wrinkles is None else [*own, *material.wrinkles.inputs]
 
 
 def _constant(value: T | TextureInput, otherwise: T) -> T:
@@ -314,6 +357,7 @@ class Shader:
     heatmap: HeatMap | None = None
     paint: FloatArray | None = None  # (n, 3) linear colours per point instead of the materials'
     lights: Studio | Portrait | PhotoLights | None = None  # instead of those of `studio`
+    weights: Mapping[str, float] = field(default_factory=dict)  # of shapes, which wrinkle the skin
 
     @cached_property
     def studio(self) -> Studio | Portrait | PhotoLights:
@@ -341,7 +385,7 @@ class Shader:
     @cached_property
     def materials(self) -> Materials:
         """The materials of the scene, read where samples lie."""
-        return Materials(self.scene, self.camera)
+        return Materials(self.scene, self.camera, self.weights)
 
     @cached_property
     def point_values(self) -> Float32Array:

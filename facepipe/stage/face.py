@@ -324,12 +324,7 @@ class Face:
         """
         if joint_transforms is not None and (sliders is not None or pose != "rest"):
             raise InputError(self.where, "a person and joint transforms, expected only one of them")
-        if sliders is not None and pose != "rest":
-            raise InputError(self.where, f"sliders and pose '{pose}', expected only one of them")
-        person = self.person(pose) if sliders is None and pose != "rest" else None
-        if sliders is not None:
-            own, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
-            person = Person(description="sliders", coefficients=own, weights=driven)
+        person = self._person_of(sliders, pose)
         if person is not None and coefficients is not None:
             # coefficients do not add, as angles of two turns don't: their matrices are multiplied
             joint_transforms = self._rig.rest @ person.under(self._rig.checked_coefficients(coefficients))
@@ -342,6 +337,21 @@ class Face:
             joint_transforms=joint_transforms,
             parent_world=parent_world,
         )
+
+    def shape_weights(
+        self, weights: Mapping[str, float], *, sliders: Mapping[str, float] | None = None, pose: str = "rest"
+    ) -> Mapping[str, float]:
+        """The weight of every shape that `evaluate` moves points by, of the same person and expression."""
+        person = self._person_of(sliders, pose)
+        return weights if person is None else person.weights_under(weights)
+
+    def _person_of(self, sliders: Mapping[str, float] | None, pose: str) -> Person | None:
+        if sliders is not None and pose != "rest":
+            raise InputError(self.where, f"sliders and pose '{pose}', expected only one of them")
+        if sliders is None:
+            return self.person(pose) if pose != "rest" else None
+        own, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
+        return Person(description="sliders", coefficients=own, weights=driven)
 
     def person(self, pose: str = "set") -> Person:
         """Who the face is, as `facepipe.rig.person_of` says.

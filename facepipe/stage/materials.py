@@ -13,9 +13,9 @@ from facepipe.core.images import is_image
 from facepipe.core.names import unique_identifiers
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_regular
-from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput, UvTransform
+from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput, UvTransform, Wrinkles
 from facepipe.stage.layer_files import file_of, name_of
-from facepipe.stage.prims import author_name, editable, label, put
+from facepipe.stage.prims import author_name, editable, is_applied, label, put
 from facepipe.stage.uv_transforms import IDENTITY, composed, scaled_turned_moved
 from facepipe.stage.values import reads_prim
 
@@ -131,10 +131,14 @@ def image_of(source: UsdShade.Shader, images: Images) -> Texture | None:
     :raises InputError: missing, tiles, or no image
     """
     file = attribute_of(source, "file")
-    asset = file.Get() if file else None
+    return None if file is None else image_at(f"{source.GetPath()}.inputs:file", file, images)
+
+
+def image_at(where: str, file: Usd.Attribute, images: Images) -> Texture | None:
+    """The image that an attribute names; else as `image_of`."""
+    asset = file.Get()
     if asset is None:
         return None
-    where = f"{source.GetPath()}.inputs:file"
     if not isinstance(asset, Sdf.AssetPath):
         raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
     if asset.resolvedPath not in images:
@@ -177,8 +181,17 @@ def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
         clearcoat=_number(surface, "clearcoat", 0.0, images),
         clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01, images),
         unlit=bool(prim.GetCustomDataByKey(tokens.UNLIT)),
+        wrinkles=_wrinkles(prim, images),
         label=label(prim, name),
     )
+
+
+def _wrinkles(prim: Usd.Prim, images: Images) -> Wrinkles | None:
+    if not is_applied(prim, tokens.WRINKLES_API):
+        return None
+    from facepipe.stage.wrinkles import read_wrinkles  # of most faces no module to load
+
+    return read_wrinkles(prim, images)
 
 
 def _color(shader: UsdShade.Shader, name: str, otherwise: Color, images: Images) -> Color | TextureInput:
@@ -255,9 +268,9 @@ def textures_of(parts: FaceParts) -> dict[str, Texture]:
     """
     textures: dict[str, Texture] = {}
     for material in parts.materials:
-        for used in material.textured.values():
-            if textures.setdefault(used.texture.name, used.texture).data != used.texture.data:
-                raise InputError(material.name, f"two different textures named '{used.texture.name}'")
+        for one in material.textures:
+            if textures.setdefault(one.name, one).data != one.data:
+                raise InputError(material.name, f"two different textures named '{one.name}'")
     return textures
 
 
@@ -312,6 +325,10 @@ def author_materials(
         author_name(prim.GetPrim(), material)
         if material.unlit:
             prim.GetPrim().SetCustomDataByKey(tokens.UNLIT, True)
+        if material.wrinkles is not None:
+            from facepipe.stage.wrinkles import author_wrinkles
+
+            author_wrinkles(prim.GetPrim(), material.wrinkles, textures)
         surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
         surface.CreateIdAttr("UsdPreviewSurface")
         prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")

@@ -77,11 +77,11 @@ class Render(Posed, FileAction[Report]):
             parts = face.parts()
             weights = named(self.weights, face.shapes, "--set", "shape")
             coefficients = coefficients_of(self.bones, face.skeleton.joints, face.skeleton.names)
+            person: dict[str, Any] = {"pose": self.pose or "set"}
             if self.sliders:
-                sliders = named(self.sliders, [slider.name for slider in face.sliders], "--slider", "slider")
-                points = face.evaluate(weights, coefficients=coefficients, sliders=sliders)
-            else:
-                points = face.evaluate(weights, coefficients=coefficients, pose=self.pose or "set")
+                names = [slider.name for slider in face.sliders]
+                person = {"sliders": named(self.sliders, names, "--slider", "slider")}
+            points = face.evaluate(weights, coefficients=coefficients, **person)
             bar.update()
             options = PictureOptions(
                 size=self.size,
@@ -89,6 +89,7 @@ class Render(Posed, FileAction[Report]):
                 heatmap=self._heatmap(face, points),
                 regions=RegionColors.from_parts(parts) if self.regions else None,
                 landmarks=self.landmarks,
+                weights=face.shape_weights(weights, **person),
             )
             save_png(picture(parts, points, options), job.out)
             bar.update()

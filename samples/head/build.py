@@ -22,6 +22,7 @@ import numpy.typing as npt
 import skin_maps
 import strokes
 import traits
+import wrinkles
 from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
 from lids import Stretch, lids, stretch
 from lips import rolled
@@ -66,6 +67,7 @@ def main() -> None:
     write_arrays(out / "measures.npz", found)
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
     skin_maps.main(ict, out / "skin_maps.npz")
+    wrinkles.main(ict, model.shapes, out)
     cards.main(ict, out)
     for pictures in (strokes, eyes):
         pictures.main(out)

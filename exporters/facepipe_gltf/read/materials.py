@@ -17,7 +17,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.images import damage_of, decoding, open_image
 from facepipe.core.names import handles
 from facepipe.core.reading import is_file
-from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
+from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform, WrinkleRegion, Wrinkles
 from facepipe.stage.uv_transforms import IDENTITY
 from facepipe_gltf.read.document import BASIS, Document, Names, Value, file_name, given_name, quote, uri_name
 from facepipe_gltf.read.meshes import uv_name
@@ -28,6 +28,7 @@ Channels = Literal["rgb", "r", "g", "b", "a"]
 Wrap = Literal["repeat", "mirror", "clamp"]
 _Four = tuple[float, float, float, float]
 
+_CHANNELS: dict[str, Channels] = {"r": "r", "g": "g", "b": "b", "a": "a"}
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 _SIGNATURES = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpg"}
 _OTHER_SOURCES = ("EXT_texture_avif", "EXT_texture_webp")
@@ -252,8 +253,30 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         normal=normal,
         ior=_factor(ior, "ior", 1.5),
         unlit=value.extension("KHR_materials_unlit") is not None,
+        wrinkles=_wrinkles(textures, value),
         **clearcoat,
     )
+
+
+def _wrinkles(textures: _Textures, value: Value) -> Wrinkles | None:
+    """The wrinkles that our exports have in a material's extras; None where there are none, or their images lack."""
+    ours = value.extras().get("facepipe")
+    own = ours.get("wrinkles") if ours is not None and isinstance(ours.data, dict) else None
+    if own is None:
+        return None
+    normal = textures.input(own.require("normal"), "rgb", (2.0, 2.0, 2.0, 1.0), (-1.0, -1.0, -1.0, 0.0))
+    tint = textures.input(own.require("tint"), "rgb", (1.0,) * 4)
+    regions = []
+    for one in own.require("regions").items():
+        channel = one.require("channel")
+        if channel.text() not in _CHANNELS:
+            raise channel.error(f"{quote(channel.text())}, expected one of {', '.join(_CHANNELS)}")
+        mask = textures.input(one.require("mask"), _CHANNELS[channel.text()], (1.0,) * 4)
+        shapes = one.require("shapes")
+        gains = tuple((name, shapes.require(name).number()) for name in shapes.member_names())
+        if mask is not None:
+            regions.append(WrinkleRegion(name=one.require("name").name(), mask=mask, shapes=gains))
+    return None if normal is None or tint is None else Wrinkles(normal=normal, tint=tint, regions=tuple(regions))
 
 
 def _metallic_roughness(
@@ -334,12 +357,12 @@ def with_recorded_images(
     document: Document, recorded: Sequence[Material], read: Sequence[Material]
 ) -> tuple[Material, ...]:
     """Recorded materials of a file of ours with the file's images; one whose images it lacks is as it was read."""
-    textures = [used.texture for material in read for used in material.textured.values()]
+    textures = [texture for material in read for texture in material.textures]
     images = {image_digest(texture.data): texture.data for texture in textures}
     by_name = {one.name: one for one in read}
     result = []
     for material in recorded:
-        if all(used.texture.data in images for used in material.textured.values()):
+        if all(texture.data in images for texture in material.textures):
             result.append(material.with_textures(lambda texture: replace(texture, data=images[texture.data])))
             continue
         document.warn("facepipe", f"the images of the material {material.name} were merged: it is read as glTF has it")

@@ -3,6 +3,7 @@ import { type BufferGeometry, Group, type Mesh, type Object3D, type Skeleton, ty
 import { MeshoptDecoder } from "three/examples/jsm/libs/meshopt_decoder.module.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { FaceError, fetched } from "./errors";
+import { wrinkle } from "./wrinkles";
 
 /** One mesh of the face: a primitive for each of its materials. */
 export interface FaceMesh {
@@ -55,6 +56,7 @@ export async function readGlb(url: string): Promise<LoadedGlb> {
     mesh.frustumCulled = false; // its bounds are those of the neutral
     if (mesh.isSkinnedMesh) skeleton = mesh.skeleton;
   });
+  for (const mesh of found.values()) await wrinkle(mesh, gltf);
   if (!found.size) throw new FaceError(url, "holds no mesh, expected a face");
   const root = new Group();
   root.add(gltf.scene);
