@@ -49,7 +49,7 @@ class Kind:
 
 KINDS = {
     "browsUp": Kind(
-        ("browInnerUp", "browOuterUp"), 0.10, 0.72, 0.11, 0.075, 0.45, (((1.5, 7.3),), ((0.4, 8.3),), ((2.6, 9.2),))
+        ("browInnerUp", "browOuterUp"), 0.10, 0.85, 0.17, 0.13, 0.4, (((1.5, 7.3),), ((0.4, 8.3),), ((2.6, 9.2),))
     ),
     "browsTogether": Kind(
         ("browDown",), 0.05, 0.55, 0.16, 0.15, 0.3, (((0.62, 4.6), (0.72, 5.4), (0.95, 6.3)),), sided=False
@@ -62,7 +62,7 @@ KINDS = {
     "smileFolds": Kind(("mouthSmile",), 0.06, 1.15, 0.24, 0.22, 0.24, (FOLD,)),
     "chin": Kind(("mouthShrugLower",), 0.02, 0.45, 0.12, 0.08, 0.5, (((0.2, -5.6),),), sided=False),
     "lipsPucker": Kind(("mouthPucker",), 0.05, 0.38, 0.10, 0.08, 0.8, sided=False),
-    "neck": Kind(("jawOpen",), 0.10, 1.5, 0.14, 0.06, 0.5, (((0.5, -11.0),), ((0.5, -12.8),)), sided=False),
+    "neck": Kind(("jawOpen",), 0.10, 1.5, 0.18, 0.09, 0.5, (((0.5, -11.0),), ((0.5, -12.8),)), sided=False),
 }  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def zones(surface: Surface) -> dict[str, Array]:
         "crowsFeet": eye * step(7.6, 6.4, x) * step(0.7, 1.4, y) * step(5.2, 4.5, y),
         "smileFolds": step(0.2, 0.7, beside) * step(2.2, 1.3, beside) * step(1.2, 0.4, y) * step(-7.2, -6.2, y),
         "chin": step(3.2, 2.2, x) * step(-4.9, -5.3, y) * step(-8.4, -7.4, y),
-        "lipsPucker": step(1.35, 0.7, lip) * step(0.0, 0.2, lip) * step(2.4, 1.9, x) * step(-0.6, -1.4, y),
+        "lipsPucker": step(1.35, 0.7, lip) * step(0.0, 0.2, lip) * step(2.0, 1.5, x) * step(-0.6, -1.4, y),
         "neck": step(-9.3, -10.2, y) * step(8.0, 5.5, x),
     }
     return {name: surface.skin * zone for name, zone in found.items()}
