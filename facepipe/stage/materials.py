@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Mapping
 from typing import Any, Literal
 
 from pxr import Ar, Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from facepipe.core import tokens
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import is_image
 from facepipe.core.names import unique_identifiers
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_regular
-from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput, UvTransform, Wrinkles
+from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput, UvTransform, WrinkleRegion, Wrinkles
 from facepipe.stage.layer_files import file_of, name_of
-from facepipe.stage.prims import author_name, editable, is_applied, label, put
+from facepipe.stage.prims import (
+    apply_schema,
+    author_name,
+    check_property_name,
+    editable,
+    instances,
+    is_applied,
+    label,
+    put,
+    put_value,
+)
 from facepipe.stage.uv_transforms import IDENTITY, composed, scaled_turned_moved
-from facepipe.stage.values import reads_prim
+from facepipe.stage.values import floats, reads_prim
 
 _DEFAULT = Usd.TimeCode.Default()
 _MOST_IMAGE_BYTES = 1 << 28  # of an image
+_CHANNELS = ("r", "g", "b", "a")
 Images = dict[str, bytes | None]  # by resolved path
 Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[str, Wrap] = {
@@ -181,17 +192,49 @@ def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
         clearcoat=_number(surface, "clearcoat", 0.0, images),
         clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01, images),
         unlit=bool(prim.GetCustomDataByKey(tokens.UNLIT)),
-        wrinkles=_wrinkles(prim, images),
+        wrinkles=_read_wrinkles(prim, images),
         label=label(prim, name),
     )
 
 
-def _wrinkles(prim: Usd.Prim, images: Images) -> Wrinkles | None:
+def _read_wrinkles(prim: Usd.Prim, images: Images) -> Wrinkles | None:
+    """The wrinkles of a Material prim; None where it has none, or names no maps.
+
+    :param images: that were read before, filled in
+    :raises InputError: an image that is missing, or none
+    :raises SchemaError: a channel that images don't have, or lists that are not parallel
+    """
     if not is_applied(prim, tokens.WRINKLES_API):
         return None
-    from facepipe.stage.wrinkles import read_wrinkles  # of most faces no module to load
+    uv_set = str(prim.GetAttribute(tokens.WRINKLES_UV_SET).Get() or "st")
 
-    return read_wrinkles(prim, images)
+    def image(name: str) -> Texture | None:
+        attribute = prim.GetAttribute(name)
+        return image_at(str(attribute.GetPath()), attribute, images) if attribute else None
+
+    normal, tint = image(tokens.WRINKLES_NORMAL), image(tokens.WRINKLES_TINT)
+    if normal is None or tint is None:
+        return None
+    regions = []
+    for name in sorted(instances(prim, tokens.WRINKLE_API)):
+        prefix = f"{tokens.WRINKLE_PREFIX}{name}:"
+        where = f"{prim.GetPath()}.{prefix}"
+        mask, channel = image(f"{prefix}mask"), str(prim.GetAttribute(f"{prefix}channel").Get() or "r")
+        shapes = [str(one) for one in prim.GetAttribute(f"{prefix}shapes").Get() or ()]
+        gains = floats(prim.GetAttribute(f"{prefix}gains").Get()).tolist()
+        if channel not in _CHANNELS:
+            raise SchemaError(f"{where}channel", f"'{channel[:40]}', expected one of {', '.join(_CHANNELS)}")
+        if len(shapes) != len(gains):
+            raise SchemaError(f"{where}gains", f"{len(gains)} gains and {len(shapes)} shapes, expected as many of each")
+        if mask is not None:
+            own: Any = channel
+            read = TextureInput(texture=mask, channels=own, uv_set=uv_set)
+            regions.append(WrinkleRegion(name=name, mask=read, shapes=tuple(zip(shapes, gains, strict=True))))
+    return Wrinkles(
+        normal=TextureInput(texture=normal, uv_set=uv_set, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0)),
+        tint=TextureInput(texture=tint, uv_set=uv_set),
+        regions=tuple(regions),
+    )
 
 
 def _color(shader: UsdShade.Shader, name: str, otherwise: Color, images: Images) -> Color | TextureInput:
@@ -326,9 +369,7 @@ def author_materials(
         if material.unlit:
             prim.GetPrim().SetCustomDataByKey(tokens.UNLIT, True)
         if material.wrinkles is not None:
-            from facepipe.stage.wrinkles import author_wrinkles
-
-            author_wrinkles(prim.GetPrim(), material.wrinkles, textures)
+            _author_wrinkles(prim.GetPrim(), material.wrinkles, textures)
         surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
         surface.CreateIdAttr("UsdPreviewSurface")
         prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
@@ -345,6 +386,31 @@ def author_materials(
                 given.Set(Gf.Vec3f(*value) if field in _COLOR_FIELDS else float(value))
         prims[material.name] = prim
     return prims
+
+
+def _author_wrinkles(prim: Usd.Prim, wrinkles: Wrinkles, textures: Mapping[str, str]) -> None:
+    """Put wrinkles on a Material prim.
+
+    :param textures: asset path by texture name; names themselves where not given
+    :raises InputError: the name of a region that USD can't hold
+    """
+
+    def asset(used: TextureInput) -> Sdf.AssetPath:
+        return Sdf.AssetPath(textures.get(used.texture.name, used.texture.name))
+
+    apply_schema(prim, tokens.WRINKLES_API)
+    for region in wrinkles.regions:
+        check_property_name(prim.GetPath(), "wrinkles", region.name, tokens.WRINKLE_API)
+        apply_schema(prim, tokens.WRINKLE_API, region.name)
+    put_value(prim, tokens.WRINKLES_NORMAL, asset(wrinkles.normal))
+    put_value(prim, tokens.WRINKLES_TINT, asset(wrinkles.tint))
+    put_value(prim, tokens.WRINKLES_UV_SET, wrinkles.normal.uv_set)
+    for region in wrinkles.regions:
+        prefix = f"{tokens.WRINKLE_PREFIX}{region.name}:"
+        put_value(prim, f"{prefix}mask", asset(region.mask))
+        put_value(prim, f"{prefix}channel", region.mask.channels)
+        put_value(prim, f"{prefix}shapes", [shape for shape, _ in region.shapes])
+        put_value(prim, f"{prefix}gains", [gain for _, gain in region.shapes])
 
 
 def _author_texture(
