@@ -310,6 +310,55 @@ def three(folder: Path) -> Image.Image:
 
 
 @of_docs
+def wrinkles(folder: Path) -> Image.Image:
+    """Expressions without and with wrinkles, in facepipe's pictures and in three.js, which the viewer's page runs."""
+    moods = {
+        "smile": both(1.0, "mouthSmile") | both(0.7, "cheekSquint"),
+        "sneer": both(1.0, "noseSneer") | both(0.8, "browDown"),
+        "brows up": {"browInnerUp": 1.0} | both(1.0, "browOuterUp"),
+    }
+    file = person(folder, WRINKLED)
+    face = facepipe.open(file)
+    camera, parts = close_camera(face, 400, "front", 1.0), face.parts()
+    view = {**in_three(camera, face.meters_per_unit), "size": 400, "moods": list(moods.values())}
+    drawn = []
+    for shapes in moods.values():
+        points, plain = face.evaluate(shapes), options(400, camera=camera)
+        drawn += [picture(parts, points, plain), picture(parts, points, replace(plain, weights=shapes))]
+    page = viewed(folder, file, WITH_AND_WITHOUT.replace("VIEW", json.dumps(view)), width=2400)
+    drawn += [page.crop((400 * i, 0, 400 * i + 400, 400)) for i in range(2 * len(moods))]
+    names = [f"{name}{what}" for name in moods for what in ("", ", wrinkled")]
+    return contact_sheet([*zip(names + [f"three.js: {name}" for name in names], drawn, strict=True)], columns=6)
+
+
+# pictures of moods, each without and with wrinkles, in place of the viewer's page
+WITH_AND_WITHOUT = """(async () => {
+  const { eye, at, angle, size, moods } = VIEW, face = facepipe.face(), { renderer, scene, camera } = facepipe.picture;
+  const sheet = Object.assign(document.createElement("canvas"), { width: 2 * size * moods.length, height: size });
+  const pen = sheet.getContext("2d"), drawn = new Map();
+  for (const { primitives } of face.meshes) for (const one of primitives) drawn.set(one, one.onBeforeRender);
+  renderer.setPixelRatio(1), renderer.setSize(2 * size, 2 * size), renderer.setScissorTest(false);
+  Object.assign(camera, { fov: angle, aspect: 1, near: 0.01, far: 5 }), camera.updateProjectionMatrix();
+  camera.position.set(...eye), camera.lookAt(...at), camera.updateMatrixWorld(true);
+  scene.background.set(0xc4c9d2);
+  let column = 0;
+  for (const mood of moods) {
+    for (const wrinkled of [false, true]) {
+      await face.reset();
+      if (wrinkled) for (const [one, own] of drawn) one.onBeforeRender = own;
+      else renderer.render(scene, camera), drawn.forEach((_, one) => (one.onBeforeRender = () => {}));
+      await face.setShapes(mood);
+      renderer.render(scene, camera);
+      pen.drawImage(renderer.domElement, size * column++, 0, size, size);
+    }
+  }
+  sheet.style = "position:fixed;inset:0;z-index:9";
+  document.body.append(sheet);
+})()"""
+WRINKLED = 12  # seed of who is drawn
+
+
+@of_docs
 def vrm(folder: Path) -> Image.Image:
     """VRM's presets, single expressions, looks and a turned head as three-vrm shows a person."""
     names = (
@@ -476,7 +525,7 @@ def browse(url: str, size: tuple[int, int], steps: list[dict[str, str]]) -> None
         raise SystemExit(problems)
 
 
-def viewed(folder: Path, face: Path, script: str, *buttons: str) -> Image.Image:
+def viewed(folder: Path, face: Path, script: str, *buttons: str, width: int = 1280) -> Image.Image:
     """The page of `facepipe view` after a script and some buttons."""
     if not build.is_built():
         build.build()
@@ -493,7 +542,7 @@ def viewed(folder: Path, face: Path, script: str, *buttons: str) -> Image.Image:
         thread = threading.Thread(target=page.serve)
         thread.start()
         try:
-            browse(page.url, (1280, 720), steps)
+            browse(page.url, (width, 720), steps)
         finally:
             page.close()
             thread.join()
