@@ -77,6 +77,7 @@ def _picture(name: str, size: int) -> Any:
     from PIL import Image
 
     with Image.open(BytesIO((files("facepipe.heads") / "data" / name).read_bytes())) as image:
+        image.draft(None, (size, size))  # a JPEG is decoded at a half or less where that is enough
         return _enlarged(np.asarray(image), size)
 
 
