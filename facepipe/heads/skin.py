@@ -82,7 +82,7 @@ def _picture(name: str, size: int) -> Any:
 
 
 def at_rest(look: Look) -> dict[str, float]:
-    """How strong wrinkles are without any expression, by region, 0..1: none below thirty, no two people alike."""
+    """How strong wrinkles are without any expression, by region, 0..1: none below 27 years, no two people alike."""
     share = float(np.clip((look.age - 0.15) / 0.85, 0, 1))
     own = np.random.default_rng((look.seed, 300)).uniform(0.75, 1.2, len(wrinkle_table()))
     return {name: float(row["old"] * share * own[i]) for i, (name, row) in enumerate(sorted(wrinkle_table().items()))}
