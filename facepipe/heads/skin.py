@@ -220,6 +220,10 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     creases = _creases(look, tile, size)
     if creases is not None:
         folds = _picture("wrinkles_normal.jpg", size)
+        sides = [normals[..., axis] - np.float32(128) for axis in range(3)]
         for axis in range(2):
-            normals[..., axis] = np.clip(normals[..., axis] + creases * (folds[..., axis] - np.float32(128)), 0, 255)
+            sides[axis] += creases * (folds[..., axis] - np.float32(128))
+        up = np.float32(127.5) / np.sqrt(sides[0] ** 2 + sides[1] ** 2 + sides[2] ** 2)
+        for axis, side in enumerate(sides):
+            normals[..., axis] = 128 + side * up
     return np.asarray(normals)

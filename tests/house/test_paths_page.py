@@ -189,7 +189,8 @@ OPENED = {
     "it comes with facepipe, or is the machine's": """
         facepipe.registry:manifest facepipe.cli:main facepipe.cli.show:_own_stderr
         facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.assembly:bone_sliders
-        facepipe.heads.assembly:identity_sliders facepipe.heads.surfaces:picture_of
+        facepipe.heads.assembly:identity_sliders facepipe.heads.surfaces:picture_of facepipe.heads.skin:_picture
+        facepipe.heads.skin:wrinkle_table
         facepipe.networks.files:own_mask_network facepipe.rig.conventions:_tables
         facepipe.stage.prims:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
         facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
