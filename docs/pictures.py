@@ -34,7 +34,7 @@ from facepipe.cli import main
 from facepipe.geometry.similarity import robust_similarity
 from facepipe.heads import make
 from facepipe.heads.assembly import make_head
-from facepipe.heads.people import MODES, STYLES, Look
+from facepipe.heads.people import BEARDS, HAIR, IRIS, MODES, STYLES, Look
 from facepipe.heads.surfaces import dressed
 from facepipe.importers import ict, load
 from facepipe.importers.scan_file import read_scan
@@ -88,16 +88,19 @@ def people(folder: Path) -> Image.Image:
 
 @of_docs
 def looks(folder: Path) -> Image.Image:
-    """The average head in every style of hair, and tones of skin."""
+    """The average head in every style of hair and beard, from front, side and back."""
     bald = make_head(np.zeros(MODES))
+    views: tuple[View, ...] = ("front", "side", (np.pi, 0.0))
     drawn: list[tuple[str, Image.Image]] = []
-    hairs = ("dark", "dark", "brown", "grey", "red", "blond", "black")
-    eyes = ("green", "brown", "blue", "grey", "hazel", "blue", "dark")
-    for style, tone, hair, iris in zip(STYLES, (2, 7, 3, 5, 1, 4, 9), hairs, eyes, strict=True):
-        look = Look(tone=tone, style=style, hair=hair, eyes=iris, beard=0.5 * (style == "stubble"), freckles=0.5)
-        seen = options(300, "three-quarter" if len(drawn) % 2 else "front")
-        drawn.append((f"{style}, tone {tone}", picture(dressed(bald, look, 1024), None, seen)))
-    return contact_sheet(drawn, columns=4)
+    for number, style in enumerate(STYLES):
+        hair, iris = tuple(HAIR)[number % len(HAIR)], tuple(IRIS)[number % len(IRIS)]
+        look = Look(tone=1 + number * 5 % 9, style=style, hair=hair, eyes=iris, beard=0.5 * (style == "stubble"))
+        made = dressed(bald, look, 1024)
+        drawn += [(style if view == "front" else "", picture(made, None, options(260, view))) for view in views]
+    for beard in list(BEARDS)[1:]:
+        made = dressed(bald, Look(tone=4, style="crop", hair="dark", whiskers=beard, beard=0.5), 1024)
+        drawn += [(beard if view == "front" else "", picture(made, None, options(260, view))) for view in views]
+    return contact_sheet(drawn, columns=6)
 
 
 @of_docs

@@ -64,15 +64,20 @@ class Asset:
         return next((name, point - part.points.start) for name, part in self.parts.items() if point < part.points.stop)
 
 
-def _read(name: str) -> dict[str, npt.NDArray[Any]]:
+def _read(name: str, start: str = "") -> dict[str, npt.NDArray[Any]]:
     with as_file(files("facepipe.heads") / "data" / f"{name}.npz") as path, np.load(path, allow_pickle=False) as file:
-        return {key: file[key] for key in file.files}
+        return {key: file[key] for key in file.files if key.startswith(start)}
 
 
 @cache
 def arrays(name: str) -> dict[str, npt.NDArray[Any]]:
     """The arrays of a file of the package data."""
     return _read(name)
+
+
+def arrays_of(name: str, start: str) -> dict[str, npt.NDArray[Any]]:
+    """Those arrays of a file of the package data whose names begin so, by the rest of their names."""
+    return {key.removeprefix(start): values for key, values in _read(name, start).items()}
 
 
 @cache

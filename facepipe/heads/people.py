@@ -44,12 +44,21 @@ HAIR: dict[str, Color] = {  # linear
 STYLES = {  # how much hair colours the scalp, and the picture that its cards show
     "bald": (0.0, ""),
     "stubble": (0.5, ""),
-    "crop": (0.9, "hair.png"),
-    "parted": (0.9, "hair.png"),
-    "bob": (0.9, "hair.png"),
-    "long": (0.9, "hair.png"),
+    "buzz": (0.8, "hair.png"),
+    "crop": (0.95, "hair.png"),
+    "receding": (0.85, "hair.png"),
+    "parted": (0.95, "hair.png"),
+    "slick": (0.95, "hair.png"),
+    "fringe": (0.95, "hair.png"),
+    "bob": (0.95, "hair.png"),
+    "long": (0.95, "hair.png"),
+    "bun": (0.95, "hair.png"),
+    "ponytail": (0.95, "hair.png"),
     "coils": (0.97, "coils.png"),
+    "afro": (0.97, "coils.png"),
 }
+
+BEARDS = {"stubble": 0.0, "moustache": 0.9, "goatee": 0.85, "full": 0.9}  # how much hair colours the skin below cards
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +76,7 @@ class Look:
     eyes: str = "brown"  # one of IRIS
     hair: str = "dark"  # one of HAIR
     style: str = "crop"  # one of STYLES
+    whiskers: str = "stubble"  # one of BEARDS
 
     @property
     def hair_color(self) -> FloatArray:
@@ -111,16 +121,26 @@ _EYES = {
 }
 _FAIR = {"black": 0.1, "dark": 0.5, "brown": 1.0, "light": 1.6, "blond": 2.5, "red": 1.6}  # times for fair eyes
 _STYLES = {  # share of women and of men
-    "bald": (0.01, 0.12),
-    "stubble": (0.03, 0.18),
-    "crop": (0.12, 0.40),
-    "parted": (0.16, 0.20),
-    "bob": (0.30, 0.03),
-    "long": (0.30, 0.04),
-    "coils": (0.08, 0.03),
+    "bald": (0.01, 0.06),
+    "stubble": (0.01, 0.07),
+    "buzz": (0.03, 0.15),
+    "crop": (0.09, 0.24),
+    "receding": (0.0, 0.12),
+    "parted": (0.05, 0.14),
+    "slick": (0.03, 0.08),
+    "fringe": (0.14, 0.01),
+    "bob": (0.17, 0.02),
+    "long": (0.18, 0.04),
+    "bun": (0.11, 0.02),
+    "ponytail": (0.12, 0.01),
+    "coils": (0.03, 0.03),
+    "afro": (0.03, 0.01),
 }
+_BEARDS = {"stubble": 0.66, "moustache": 0.06, "goatee": 0.1, "full": 0.18}  # share of men
+_CURLED = ("coils", "afro")
+_RECEDES = (0.1, 2.0)  # times for a receding hairline at the youngest and at the oldest
 _GREYING = 0.4  # share of the oldest who show it
-_COILS = (0.2, 1.0, 3.0)  # times for coils at light, middle and dark tones
+_COILS = (0.2, 1.0, 5.0)  # times for curls at light, middle and dark tones
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +174,9 @@ def draw(seed: int) -> Person:
     chance = random.random()
     hair = "white" if chance < white else "grey" if chance < grey else hair
     shares = {name: own[as_man] for name, own in _STYLES.items()}
-    shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
+    for curled in _CURLED:
+        shares[curled] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
+    shares["receding"] *= float(np.interp(years, (_YOUNG, _OLD), _RECEDES))
     return Person(
         identity=np.asarray(weights + (sex - weights @ across) * across + aged * old),
         sex=sex,
@@ -171,6 +193,7 @@ def draw(seed: int) -> Person:
             freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
             beard=float(random.beta(1.2, 1.6) if as_man else 0.0),
             brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
+            whiskers=_pick(random, _BEARDS) if as_man else "stubble",
         ),
     )
 

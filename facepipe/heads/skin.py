@@ -19,7 +19,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
 from facepipe.heads.asset import arrays
-from facepipe.heads.people import STYLES, Look
+from facepipe.heads.hairlines import bearded, receded
+from facepipe.heads.people import BEARDS, STYLES, Look
 from facepipe.parts import Texture
 
 
@@ -48,6 +49,7 @@ def jpeg(name: str, pixels: Any) -> Texture:
 
 
 TILES = ("face", "back")
+_SHAVED = ("stubble", "buzz")  # styles whose hairs are dots
 _SMALL = 128  # texels a side, up to which every fourth place will do, and spots are smaller than a texel
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
 _MELANIN = np.array([0.45, 0.75, 1.0])
@@ -106,8 +108,7 @@ def _creases(look: Look, tile: int, size: int) -> FloatArray | None:
 def _noise(look: Look, tile: int, wavelength: float, number: int, step: int = 1) -> FloatArray:
     """(512 / step, 512 / step) smooth noise of unit variance over space."""
     lattice = np.random.default_rng((look.seed, number)).standard_normal((24, 24, 24)).astype(np.float32)
-    skipped = max(step // 2, 1)  # places are known at every second texel
-    at = np.moveaxis(_places(tile)[::skipped, ::skipped], -1, 0) / wavelength
+    at = np.moveaxis(_sparse_places(tile, step), -1, 0) / wavelength
     values = map_coordinates(lattice, at, order=3, mode="grid-wrap", prefilter=False)
     return np.asarray(_enlarged(values, 512 // step) / 0.5)
 
@@ -132,12 +133,35 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
     creases = _creases(look, tile, 512 // step)
     if creases is not None:
         colors *= 1 + creases[..., None] * (_picture("wrinkles_tint.jpg", 512 // step) / 255 - 1)
-    hair = np.clip(scalp * m["scalp"] * (1 + 0.1 * middle), 0, 1)
-    tint = np.minimum(0.8 * look.hair_color + 0.03 * look.skin, 0.15 * look.hair_color + 0.55 * look.skin)
+    hair = scalp * np.clip((cover(look, tile, step) - 0.3 + 0.12 * patch) / 0.6, 0, 1)  # cards lie before its edge
+    tint = np.minimum(0.5 * look.hair_color + 0.002 * look.skin, 0.15 * look.hair_color + 0.55 * look.skin)
     colors = _mix(colors, tint, hair)
+    if BEARDS[look.whiskers]:
+        colors = _mix(colors, tint, BEARDS[look.whiskers] * np.clip((_grown(look, tile, step) - 0.3) / 0.6, 0, 1))
     colors = _mix(colors, np.minimum(look.hair_color, 0.5 * look.skin), 0.4 * look.brows * m["brows"])
     colors = _mix(colors, look.skin * (0.95, 0.66, 0.62), m["socket"])
     return _mix(colors, _FLESH * (1 - 0.3 * look.darkness), m["mouth"])
+
+
+def cover(look: Look, tile: int, step: int = 1) -> FloatArray:
+    """(512 / step, 512 / step) where hair grows on the head, 0..1."""
+    scalp = masks(tile, step)["scalp"]
+    if look.style == "receding":
+        inside = receded(_sparse_places(tile, step))
+        scalp = scalp * _enlarged(np.clip(inside / 1.4, 0, 1), 512 // step)
+    return np.asarray(scalp)
+
+
+def _grown(look: Look, tile: int, step: int) -> FloatArray:
+    """(512 / step, 512 / step) where a beard with cards grows, 0..1."""
+    zone = bearded(look.whiskers, _sparse_places(tile, step))
+    return np.asarray(masks(tile, step)["beard"] * _enlarged(zone, 512 // step))
+
+
+def _sparse_places(tile: int, step: int) -> FloatArray:
+    """(256 / ..., 256 / ..., 3) places; they are known at every second texel."""
+    skipped = max(step // 2, 1)
+    return _places(tile)[::skipped, ::skipped]
 
 
 def _mix(colors: FloatArray, other: FloatArray, share: FloatArray) -> FloatArray:
@@ -174,7 +198,7 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
         spots = _enlarged(np.asarray(spots * (1 - 0.6 * look.darkness) * bare), size)
     melanin = skin * (0.05 * grain + spots)
     hairs = np.zeros((1, 1), np.float32)  # darkening by the dots of shaved hairs
-    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
+    share = np.clip(look.beard * m["beard"] + (0.9 * cover(look, tile) if look.style in _SHAVED else 0), 0, 1)
     if share.any():
         dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
         contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))

@@ -6,7 +6,7 @@ skin.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from importlib.resources import files
@@ -19,8 +19,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import mapped
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import skin
-from facepipe.heads.asset import STEP, arrays
-from facepipe.heads.people import IRIS, STYLES, Look
+from facepipe.heads.asset import STEP, arrays_of
+from facepipe.heads.people import BEARDS, IRIS, STYLES, Look
 from facepipe.heads.skin import jpeg
 from facepipe.parts import (
     Blendshape,
@@ -43,6 +43,7 @@ _STEP = 4  # texels from one point of the head to the next
 _GREY = 0.35  # linear, the mean of the pictures of hairs
 _LASHES = np.array([0.012, 0.009, 0.008])
 _STILL = 2e-3  # cm: smaller moves are none
+CUT = 0.35  # opacity: at half, thin locks would be gone in the coarse levels of their picture that engines show
 _FAR = 0.3  # cm: cards that turn further beside what holds them may dip into other skin
 _HANGING = 4.0  # cm off what holds it, where hair hangs
 _AS_LAID = 1e-3  # cm: cards that lie farther off were moved
@@ -68,12 +69,19 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
         head = replace(head, colors=np.asarray(tiles[tile, row, column]))
         return replace(face, meshes=(head, *others), materials=(*skins, *_loose(look, textured=False)))
     skins = mapped(partial(_skin, look, size), range(len(SKIN)))
-    hairs = {"Brows": ("brows", "eyebrows"), "Lashes": ("lashes", "eyes"), "Hair": (look.style, "forehead")}
+    hairs: dict[str, tuple[str, str | None]] = {
+        "Brows": ("brows", "eyebrows"),
+        "Lashes": ("lashes", "eyes"),
+        "Hair": (look.style, "forehead"),
+        "Beard": (look.whiskers, None),
+    }
     hair, picture = look.hair_color, STYLES[look.style][1]
     brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
     found = [_hair("Brows", brows, brow_color(hair, look.skin)), _hair("Lashes", "lashes.png", _LASHES)]
     if picture:
-        found.append(replace(_hair("Hair", picture, hair), opacity_threshold=0.5))
+        found.append(replace(_hair("Hair", picture, hair), opacity_threshold=CUT))
+    if BEARDS[look.whiskers]:
+        found.append(replace(_hair("Beard", "hair.png", hair), opacity_threshold=CUT))
     materials = (*skins, *_loose(look, textured=True), *found)
     drawn = {material.name for material in materials}
     grown = [card_mesh(name, cards(kind), head, at) for name, (kind, at) in hairs.items() if name in drawn]
@@ -166,7 +174,7 @@ def picture_of(name: str) -> Texture:
 class Cards:
     """A set of cards: n points."""
 
-    grid: tuple[int, int, int]  # cards, rows, columns of points
+    grids: tuple[tuple[int, int, int], ...]  # cards, rows, columns of points, of one layer after another
     corners: IntArray  # (n, 3) points of Head
     shares: FloatArray  # (n, 3) barycentric
     offsets: FloatArray  # (n, 3) from there, cm
@@ -178,14 +186,23 @@ class Cards:
         return np.asarray(np.einsum("nk,nk...->n...", self.shares, values[self.corners]))
 
 
+def _file(name: str) -> str:
+    return "hair" if name in STYLES or name in BEARDS else "cards"
+
+
+@cache
+def _points(name: str) -> int:
+    """How many a set of cards has."""
+    return int(np.prod(arrays_of(_file(name), f"{name}_grids")[""], axis=1).sum())
+
+
 @cache
 def cards(name: str) -> Cards:
     """A set by name: brows, lashes, or a style of hair."""
-    data = {key.removeprefix(f"{name}_"): value for key, value in arrays("cards").items() if key.startswith(f"{name}_")}
+    data = arrays_of(_file(name), f"{name}_")
     first_two = data.pop("shares") / 255
-    rows, columns, count = data.pop("grid")
     return Cards(
-        grid=(int(rows), int(columns), int(count)),
+        grids=tuple((int(count), int(rows), int(columns)) for count, rows, columns in data.pop("grids")),
         corners=data.pop("corners").astype(np.int64),
         shares=np.column_stack([first_two, 1 - first_two.sum(axis=1)]),
         offsets=data.pop("offsets") * STEP,
@@ -194,9 +211,12 @@ def cards(name: str) -> Cards:
     )
 
 
-def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
-    """Cards on a head, moved by its shapes and joints, all in one region, with the material of their name."""
-    counts, indices = _faces(held.grid)
+def card_mesh(name: str, held: Cards, head: Mesh, region: str | None) -> Mesh:
+    """Cards on a head, moved by its shapes and joints, with the material of their name.
+
+    :param region: that all of them are in; None: those of the skin that holds them
+    """
+    counts, indices = _faces(held.grids)
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
@@ -226,7 +246,10 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         uv_sets=(UvSet(values=held.uv),),
         skin=influences,
         blendshapes=tuple(shape for shape in shapes if shape is not None),
-        regions={one: zeros + (one == region) for one in head.regions},
+        regions={
+            one: zeros + (one == region) if region else held.carry(np.asarray(mask))
+            for one, mask in head.regions.items()
+        },
         material=name,
         double_sided=True,
     )
@@ -234,9 +257,12 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
 
 def kind_of(mesh: Mesh, head: Mesh, within: float = _AS_LAID) -> str | None:
     """The set of cards that a mesh is as it lies on a head, within so many cm; None: none, or one that was moved."""
-    for kind in ("brows", "lashes", *(style for style, (_, picture) in STYLES.items() if picture)):
+    styles = [style for style, (_, picture) in STYLES.items() if picture]
+    for kind in ("brows", "lashes", *styles, *(beard for beard, painted in BEARDS.items() if painted)):
+        if len(mesh.points) != _points(kind):
+            continue
         held = cards(kind)
-        if len(mesh.points) == len(held.uv) and held.corners.max() < len(head.points):
+        if held.corners.max() < len(head.points):
             off = np.abs(held.carry(head.points) + held.offsets - mesh.points)
             if off.max() < within:
                 return kind
@@ -251,20 +277,26 @@ def laid_again(mesh: Mesh, before: Mesh, head: Mesh) -> Mesh | None:
 
 def other_cards(mesh: Mesh, kind: str, head: Mesh) -> Mesh:
     """Cards of a kind on a head in place of a mesh of cards."""
-    region = next((name for name, mask in mesh.regions.items() if np.any(mask)), "")
+    regions = [name for name, mask in mesh.regions.items() if np.any(mask)]
+    region = regions[0] if len(regions) == 1 else None
     return replace(card_mesh(mesh.name, cards(kind), head, region), material=mesh.material)
 
 
 def card_triangles(held: Cards) -> IntArray:
     """(t, 3) of a set of cards."""
-    return point_triangles(*_faces(held.grid))
+    return point_triangles(*_faces(held.grids))
 
 
-def _faces(grid: tuple[int, int, int]) -> tuple[IntArray, IntArray]:
-    points = np.arange(np.prod(grid)).reshape(grid)
-    quads = [points[:, :-1, :-1], points[:, :-1, 1:], points[:, 1:, 1:], points[:, 1:, :-1]]
-    indices = np.stack(quads, axis=-1).reshape(-1, 4)
-    return np.full(len(indices), 4, np.int32), indices.ravel().astype(np.int32)
+def _faces(grids: Sequence[tuple[int, int, int]]) -> tuple[IntArray, IntArray]:
+    """Quads of cards one after another."""
+    found, first = [], 0
+    for grid in grids:
+        points = first + np.arange(np.prod(grid)).reshape(grid)
+        corners = [points[:, :-1, :-1], points[:, :-1, 1:], points[:, 1:, 1:], points[:, 1:, :-1]]
+        found.append(np.stack(corners, axis=-1).ravel())
+        first += points.size
+    indices = np.concatenate(found)
+    return np.full(len(indices) // 4, 4, np.int32), indices.astype(np.int32)
 
 
 def _shape(held: Cards, shape: Blendshape, skin: FloatArray, triangles: IntArray) -> Blendshape | None:
@@ -300,5 +332,5 @@ def _lift(held: Cards, points: FloatArray, skin: FloatArray, triangles: IntArray
     closest = near[cKDTree(skin[near]).query(points)[1]]
     normals = point_normals(skin, triangles)[closest]
     height = np.einsum("nc,nc->n", points - skin[closest], normals)
-    rows = np.broadcast_to(np.arange(held.grid[1])[:, None], held.grid).ravel()
+    rows = np.concatenate([np.broadcast_to(np.arange(grid[1])[:, None], grid).ravel() for grid in held.grids])
     return np.asarray(np.where(rows > 0, np.maximum(_CLEAR * rows - height, 0.0), 0.0)[:, None] * normals)

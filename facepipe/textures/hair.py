@@ -105,4 +105,4 @@ def painted_scalp(skin: SkinSurface, template: FloatArray, roots: FloatArray) ->
 
 def scalp_color(hair: FloatArray, skin: FloatArray) -> FloatArray:
     """(3,) linear colour of a scalp below hair, as `facepipe.heads.skin` paints it."""
-    return np.asarray(np.minimum(0.8 * hair + 0.03 * skin, 0.15 * hair + 0.55 * skin))
+    return np.asarray(np.minimum(0.5 * hair + 0.002 * skin, 0.15 * hair + 0.55 * skin))

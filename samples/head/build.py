@@ -15,6 +15,7 @@ import arcs
 import cards
 import directions
 import eyes
+import locks
 import measures
 import mouth
 import numpy as np
@@ -69,7 +70,7 @@ def main() -> None:
     skin_maps.main(ict, out / "skin_maps.npz")
     wrinkles.main(ict, model.shapes, out)
     cards.main(ict, out)
-    for pictures in (strokes, eyes):
+    for pictures in (strokes, locks, eyes):
         pictures.main(out)
     mouth.main(arguments.data, out)
     for table in ("mixes.json", "bone_sliders.json", "dense.json"):

@@ -1,11 +1,12 @@
 """Grids of cards, and the skin that holds every point of them.
 
-A set of cards is a number of grids, all (rows, columns). Its arrays: three skin points and their shares (two of them,
-in 255ths) that hold each point; the offset from there (STEP cm); texture coordinates (65535ths).
+A set of cards is a number of layers of grids, all of a layer (rows, columns). Its arrays: three skin points and their
+shares (two of them, in 255ths) that hold each point; the offset from there (STEP cm); texture coordinates (65535ths).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,28 +37,34 @@ class Binder:
         self._template = template
         self._triangles = template.triangles[allowed[template.triangles].all(axis=1)]
 
-    def arrays(self, name: str, grids: Grids) -> dict[str, Array]:
-        """The set's arrays."""
-        points, held = grids.points.reshape(-1, 3), grids.held.reshape(-1, 3)
+    def arrays(self, name: str, grids: Sequence[Grids]) -> dict[str, Array]:
+        """The arrays of a set of layers."""
+        points, held, uv = (
+            np.concatenate([getattr(one, kind).reshape(-1, size) for one in grids])
+            for kind, size in (("points", 3), ("held", 3), ("uv", 2))
+        )
         found = closest_places(held, self._template.points, self._triangles)
         corners = self._triangles[found.triangles]
         shares = np.rint(255 * place_shares(found, self._template.points, self._triangles)[:, :2]).astype(np.uint8)
         exact = np.column_stack([shares / 255, 1 - shares.sum(axis=1) / 255])
         offsets = points - np.einsum("nk,nkc->nc", exact, self._template.points[corners])
         return {
-            f"{name}_grid": np.array(grids.points.shape[:3], np.int32),
+            f"{name}_grids": np.array([one.points.shape[:3] for one in grids], np.int32),
             f"{name}_corners": corners.astype(np.uint16),
             f"{name}_shares": shares,
             f"{name}_offsets": np.rint(offsets / STEP).astype(np.int16),
-            f"{name}_uv": np.rint(65535 * grids.uv.reshape(-1, 2)).astype(np.uint16),
+            f"{name}_uv": np.rint(65535 * uv).astype(np.uint16),
         }
 
 
 class Skin:
     """The head's outside, smooth."""
 
-    def __init__(self, template: Template) -> None:
+    def __init__(self, template: Template, without: Array | None = None) -> None:
+        """:param without: (n,) points of the template that hair passes by, as it does ears"""
         used = np.unique(np.concatenate([template.used(FACE), template.used(BACK)]))
+        if without is not None:
+            used = used[~without[used]]
         self._points, self._normals = template.points[used], template.normals[used]
         self._tree = cKDTree(self._points)
 

@@ -1,4 +1,4 @@
-"""Pictures of hairs with alpha for the cards of brows, lashes and hair: grey, coloured where they are used.
+"""Pictures of hairs with alpha for the cards of brows and lashes: grey, coloured where they are used.
 
 usage: python samples/head/strokes.py facepipe/heads/data
 """
@@ -102,86 +102,11 @@ def lashes() -> Canvas:
     return canvas
 
 
-@dataclass(frozen=True)
-class Lock:
-    """A patch of the picture of straight hair: a lock, its roots at the bottom."""
-
-    left: int  # texels
-    bottom: int
-    height: int
-    hairs: int
-    tufts: int  # that its hairs end in
-    shortest: float  # share of the height
-    shade: float
-
-
-WIDE = 128  # texels of a lock
-_LONG = (  # to hang down: full ones from dark to light, thin ones, single hairs
-    (95, 7, 0.72, 0.72), (80, 5, 0.66, 0.82), (72, 4, 0.62, 0.98),
-    (48, 3, 0.60, 0.92), (26, 3, 0.60, 1.00), (9, 5, 0.70, 1.00),
-)  # fmt: skip
-_SHORT = (  # two rows of full ones, one of thin ones, one of single hairs
-    (64, 5, 0.70, 0.72), (60, 4, 0.66, 0.82), (54, 4, 0.62, 0.92), (50, 3, 0.60, 1.00),
-    (30, 3, 0.60, 0.84), (26, 2, 0.60, 1.00), (10, 4, 0.60, 0.90), (7, 4, 0.60, 1.00),
-)  # fmt: skip
-LONG = tuple(Lock(WIDE * number, 1024, 1024, *row) for number, row in enumerate(_LONG))
-SHORT = tuple(
-    Lock(768 + WIDE * (number % 2), 1024 - 256 * (number // 2), 256, *row) for number, row in enumerate(_SHORT)
-)
-
-
-def hair() -> Canvas:
-    """Locks of straight hair, long and short: darker and closer at their roots, thin at their tips."""
-    rng, canvas = np.random.default_rng(13), Canvas(1024, 1024)
-    for lock in (*LONG, *SHORT):
-        long = lock.height > 512
-        tufts = np.sort(rng.uniform(0.12, 0.88, lock.tufts))
-        ends = rng.uniform(lock.shortest, 1.0, lock.tufts)
-        for start in rng.permutation(np.linspace(0.07, 0.93, lock.hairs)):
-            tuft = int(np.abs(tufts - start + rng.normal(0, 0.06)).argmin())
-            u = np.linspace(0, 1, 24)
-            reach = ends[tuft] * (1 - 0.35 * rng.random() ** 2)
-            length = (lock.height - 14) * (reach if rng.random() < 0.93 else rng.uniform(0.3, 0.7))
-            root = 5 + 0.12 * lock.height * rng.random() ** 1.5 * (lock.shade > 0.75)  # those below are covered
-            draw_in = 0.25 * u**1.4 + 0.5 * u**4
-            wave = 0.018 * np.sin(u * rng.uniform(2, 5) + rng.uniform(0, 6.3)) * u
-            x = np.clip(start + (tufts[tuft] - start) * draw_in + wave, 0.05, 0.95)
-            grey = lock.shade * rng.normal(1.0, 0.13) * (0.92 + 0.16 * rng.random()) * 0.82
-            shade = np.clip(grey * np.interp(u, [0, 0.2, 0.6, 1], [0.74, 0.92, 1.0, 1.08]), 0.16, 1.0)
-            thick = rng.uniform(3.0, 4.6) * (1.0 if long else 0.8)
-            y = lock.bottom - root - (length - root) * u
-            canvas.stroke(lock.left + WIDE * x, y, thick * np.interp(u, [0, 0.55, 1], [1, 0.85, 0.22]), shade)
-    return canvas
-
-
-def coils() -> Canvas:
-    """Four patches of tight curls, two of them thin, for cards that lie along the head or stand on it."""
-    rng, canvas = np.random.default_rng(14), Canvas(512, 512)
-    for patch in range(4):
-        middle = np.array([256 * (patch % 2) + 128, 256 * (patch // 2) + 128])
-        count = 80 if patch < 2 else 36
-        for number in range(count):
-            at = middle + rng.normal(0, 42, 2).clip(-82, 82)
-            radius, turn = rng.uniform(9, 17), rng.uniform(0, 6.3)
-            drift = rng.normal(0, 1, 2)
-            drift *= rng.uniform(20, 44) / np.linalg.norm(drift)
-            u = np.linspace(0, 1, 60)
-            angle = turn + u * rng.uniform(10, 16)
-            x = at[0] + radius * np.cos(angle) + drift[0] * (u - 0.5)
-            y = at[1] + radius * np.sin(angle) * 0.75 + drift[1] * (u - 0.5)
-            grey = (0.3 + 0.45 * number / count) * rng.normal(1, 0.08)  # what lies deeper is darker
-            lit = grey * (1 + 0.22 * np.sin(angle + 0.8))  # each turn of a curl has a light and a dark side
-            canvas.stroke(x, y, np.interp(u, [0, 0.1, 0.85, 1], [1.6, 4.6, 4.2, 1.0]), lit.clip(0.12, 1))
-    return canvas
-
-
 def main(folder: Path) -> None:
     """Draw and save."""
     for number, fullness in enumerate((0.15, 0.5, 0.9)):
         brows(fullness).save(folder / f"brows{number}.png")
     lashes().save(folder / "lashes.png")
-    hair().save(folder / "hair.png")
-    coils().save(folder / "coils.png")
 
 
 if __name__ == "__main__":

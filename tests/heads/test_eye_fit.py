@@ -106,7 +106,7 @@ def test_lashes_stay_out_of_the_skin_in_a_blink() -> None:
         near = cKDTree(closed[1]).query(closed[0])[1]
         normals = point_normals(closed[1], point_triangles(head.face_vertex_counts, head.face_vertex_indices))[near]
         height = np.einsum("nc,nc->n", closed[0] - closed[1][near], normals)
-        assert height.reshape(held.grid)[:, 1:].min() > 0.0
+        assert height.reshape(held.grids[0])[:, 1:].min() > 0.0
 
 
 def moved(one: Mesh, names: tuple[str, ...]) -> np.ndarray:
