@@ -1,7 +1,7 @@
 """Triangles of every style of hair, and how much scalp shows through it: `python benchmarks/hair_cover.py [STYLE ...]`.
 
-Parallel rays from the front, the side and behind end in points of the average head's scalp that face them, above the
-ears: the share of them that no texel of a card stops, at the threshold of the material.
+Parallel rays from the front, the side and behind end in places of the average head's scalp that face them: the share of
+them that no texel of a card stops, at the threshold of the material.
 """
 
 from __future__ import annotations
@@ -9,27 +9,31 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from facepipe.core.images import open_image
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads.assembly import average
+from facepipe.heads.asset import arrays
 from facepipe.heads.people import STYLES
+from facepipe.heads.skin import TILES, masks
 from facepipe.heads.surfaces import CUT, Cards, card_triangles, cards, picture_of
 from facepipe.parts import Mesh
 
 VIEWS = {"front": (0.0, 0.0, 1.0), "side": (1.0, 0.0, 0.0), "back": (0.0, 0.0, -1.0)}
 _FACING = 0.3  # cosine to the ray
-_ABOVE = 5.0  # cm
+_INSIDE = 0.99  # of the mask of the scalp, which fades out at the hairline
+_EVERY = 5  # texel
 
 
 def scalp(head: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of the scalp and their normals: those that hold the cards of a crop, well above ears and nape."""
-    held = cards("crop")
-    roots = held.carry(head.points)
+    """Places (n, 3) on the scalp behind the hairline and the normals there."""
+    maps, found = arrays("skin_maps"), []
+    for number, tile in enumerate(TILES):
+        found.append(maps[f"{tile}_places"][masks(number, 2)["scalp"] > _INSIDE][::_EVERY].astype(float))
+    places = np.concatenate(found)
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
-    normals = held.carry(point_normals(head.points, triangles))
-    deep = roots[:, 1] > _ABOVE
-    return roots[deep], normals[deep]
+    return places, point_normals(head.points, triangles)[cKDTree(head.points).query(places)[1]]
 
 
 def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -71,7 +75,7 @@ def main() -> None:
         shares = []
         for towards in map(np.array, VIEWS.values()):
             facing = normals @ towards > _FACING
-            shares.append(f"{seen(style, head, points[facing][::3], towards):.1%}")
+            shares.append(f"{seen(style, head, points[facing], towards):.1%}")
         print(f"| {style} | {len(card_triangles(cards(style)))} | " + " | ".join(shares) + " |")
 
 

@@ -34,7 +34,7 @@ from facepipe.cli import main
 from facepipe.geometry.similarity import robust_similarity
 from facepipe.heads import make
 from facepipe.heads.assembly import make_head
-from facepipe.heads.people import BEARDS, HAIR, IRIS, MODES, STYLES, Look
+from facepipe.heads.people import BEARDS, HAIR, MODES, STYLES, Look
 from facepipe.heads.surfaces import dressed
 from facepipe.importers import ict, load
 from facepipe.importers.scan_file import read_scan
@@ -93,13 +93,14 @@ def looks(folder: Path) -> Image.Image:
     views: tuple[View, ...] = ("front", "side", (np.pi, 0.0))
     drawn: list[tuple[str, Image.Image]] = []
     for number, style in enumerate(STYLES):
-        hair, iris = tuple(HAIR)[number % len(HAIR)], tuple(IRIS)[number % len(IRIS)]
-        look = Look(tone=1 + number * 5 % 9, style=style, hair=hair, eyes=iris, beard=0.5 * (style == "stubble"))
+        hair = ("black", "dark")[number % 2] if STYLES[style][1] == "coils.png" else tuple(HAIR)[number % len(HAIR)]
+        tone = {"black": 8, "dark": 6, "brown": 4, "light": 3, "blond": 2, "red": 1, "grey": 5, "white": 3}[hair]
+        look = Look(tone=tone, style=style, hair=hair, eyes="dark" if tone > 5 else "blue")
         made = dressed(bald, look, 1024)
-        drawn += [(style if view == "front" else "", picture(made, None, options(260, view))) for view in views]
+        drawn += [(style if view == "front" else "", picture(made, None, options(220, view))) for view in views]
     for beard in list(BEARDS)[1:]:
         made = dressed(bald, Look(tone=4, style="crop", hair="dark", whiskers=beard, beard=0.5), 1024)
-        drawn += [(beard if view == "front" else "", picture(made, None, options(260, view))) for view in views]
+        drawn += [(beard if view == "front" else "", picture(made, None, options(220, view))) for view in views]
     return contact_sheet(drawn, columns=6)
 
 
