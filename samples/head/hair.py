@@ -163,9 +163,8 @@ def cut(style: Style, layer: Layer, root: Array, line: Array, across: Array, rng
     shares = layer.starts + (1 - layer.starts) * along(style, layer.rows)
     at = np.minimum(shares[:, None] * length / DS, len(line) - 1.01)
     low, share = at.astype(int), (at % 1)[..., None]
-    return tuple(  # type: ignore[return-value]
-        np.moveaxis(one[low, each] * (1 - share) + one[low + 1, each] * share, 0, 1) for one in (line, across)
-    )
+    kept, aside = (one[low, each] * (1 - share) + one[low + 1, each] * share for one in (line, across))
+    return np.moveaxis(kept, 0, 1), np.moveaxis(aside, 0, 1)
 
 
 def along(style: Style, rows: int) -> Array:

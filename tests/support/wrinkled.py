@@ -23,7 +23,6 @@ from facepipe.parts import (
 
 TEXELS = 64
 BASE = 0.4  # linear, of the skin
-MAP = {"scale": (2.0, 2.0, 2.0, 1.0), "bias": (-1.0, -1.0, -1.0, 0.0)}
 GAINS = {"left": (("smile", 1.0), ("squint", 0.5)), "right": (("frown", 0.75),)}
 
 
@@ -32,6 +31,11 @@ def picture(name: str, values: np.ndarray) -> Texture:
     stream = io.BytesIO()
     Image.fromarray(np.rint(values * 255).astype(np.uint8)).save(stream, "PNG")
     return Texture(name=name, data=stream.getvalue())
+
+
+def normal_map(texture: Texture) -> TextureInput:
+    """Normals by their usual scale and bias."""
+    return TextureInput(texture=texture, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
 
 
 def maps() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -55,9 +59,9 @@ def wrinkled_square() -> FaceParts:
         diffuse_color=(BASE, BASE, BASE),
         roughness=1.0,
         ior=1.0,
-        normal=TextureInput(texture=own, **MAP),  # type: ignore[arg-type]
+        normal=normal_map(own),
         wrinkles=Wrinkles(
-            normal=TextureInput(texture=picture("folds.png", normals), **MAP),  # type: ignore[arg-type]
+            normal=normal_map(picture("folds.png", normals)),
             tint=TextureInput(texture=picture("tints.png", tints)),
             regions=(
                 WrinkleRegion(name="left", mask=TextureInput(texture=mask, channels="r"), shapes=GAINS["left"]),

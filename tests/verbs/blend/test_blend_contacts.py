@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,9 @@ def solved() -> tuple[BlendSession, Solution]:
 
 
 def test_depths_are_distances_to_the_nearest_place_at_sharp_edges_too() -> None:
-    tooth = trimesh.creation.box((4.0, 2.0, 6.0)).subdivide().subdivide().subdivide()  # type: ignore[no-untyped-call]
+    tooth: Any = trimesh.creation.box((4.0, 2.0, 6.0))
+    for _ in range(3):
+        tooth = tooth.subdivide()
     body = Body("Teeth", np.arange(len(tooth.vertices)), np.asarray(tooth.faces), np.zeros(0, np.int64))
     surface = Surface(body, np.asarray(tooth.vertices), None, 3.0)
     points = np.random.default_rng(3).uniform(-1.0, 1.0, (2000, 3)) * (2.5, 1.5, 3.5)
