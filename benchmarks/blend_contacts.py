@@ -1,9 +1,9 @@
-"""How much deeper points of skin lie in eyeballs, teeth and gums after random blends of people than in their sources.
+"""How much deeper skin lies in eyeballs, teeth, gums and the other lip after random blends than in their sources.
 
 Two people of the head in the box each, a share of 0, of 1 or between for every region, at rest and in ARKit's 52
-shapes. By teeth and gums the skin that counts is what rays meet with pressed lips, by eyeballs all around them. Its
-depth is the exact distance to the nearest place of the part, inside by the normal there: code that the blend's own
-measure has no part in.
+shapes. By teeth, gums and lips the skin that counts is what rays meet with pressed lips, by eyeballs all around them.
+Its depth is the exact distance to the nearest place of the part, inside by the normal there: code that the blend's own
+measure has no part in. That of lips is how far the winding number of the face below them says that flesh laps over.
 
 example: python benchmarks/blend_contacts.py --blends 30 --json out.json
 """
@@ -30,6 +30,7 @@ from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.contacts import Sheet
 from facepipe.geometry.polygons import components, point_normals, point_triangles
 from facepipe.geometry.vectors import unit_vectors
+from facepipe.geometry.winding_numbers import WindingNumbers
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.blend.session import Solution
@@ -41,8 +42,11 @@ BOUNDS = {
     "EyeballRight": 0.1,
     "Teeth": 0.3,
     "GumsAndTongue": 0.3,
+    "Lips": 0.3,
 }  # mm over the deeper source
-MOUTH = ("Teeth", "GumsAndTongue")
+EYEBALLS, MOUTH = ("EyeballLeft", "EyeballRight"), ("Teeth", "GumsAndTongue")
+_STEP_MM, _DEEPEST_MM = 0.1, 6.0  # of the depth of lips
+_OFF_MM = 0.02  # from skin, where it is asked whether that lies in flesh
 _BEHIND_MM = 12.0  # of a part: skin farther away is not looked at
 
 _OUTSIDE_MM = 0.7  # of the plane at the nearest point
@@ -109,14 +113,10 @@ def deepest(session: BlendSession, solution: Solution) -> Figures:
         for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True)
     }
     found: Figures = {}
-    for name in BOUNDS:
+    for name in (*EYEBALLS, *MOUTH):
         part, skin = triangles[name], np.unique(triangles["Head"])
         if name in MOUTH:
-            closed = sources.points[0] * mm
-            for sculpt in session.sculpts:
-                if sculpt.name in PRESSED:
-                    closed[sculpt.points] += sculpt.offsets[0] * mm
-            skin = np.unique(Sheet.of(triangles["Head"], triangles[name], [closed]).outer)
+            skin = _outer(session, triangles["Head"], triangles[name])
         else:
             part = _outer_shell(part, sources.points[0])
             middle, reach = (
@@ -135,7 +135,44 @@ def deepest(session: BlendSession, solution: Solution) -> Figures:
             if name not in found or over[worst] > found[name]["over_mm"]:
                 row = [float(depths[worst]) for depths in (*theirs, own)]
                 found[name] = {"over_mm": float(over[worst]), "shape": shape, "depths_mm": row}
+    outer = _outer(session, triangles["Head"], triangles["Teeth"])
+    return found | {"Lips": _lips(session, solution, triangles["Head"], outer)}
+
+
+def _outer(session: BlendSession, skin: IntArray, hard: IntArray) -> IntArray:
+    """Points of the skin before teeth or gums that rays meet with pressed lips."""
+    mm = session.sources.mm_per_unit
+    closed = session.sources.points[0] * mm
+    for sculpt in session.sculpts:
+        if sculpt.name in PRESSED:
+            closed[sculpt.points] += sculpt.offsets[0] * mm
+    return np.unique(Sheet.of(skin, hard, [closed]).outer)
+
+
+def _lips(session: BlendSession, solution: Solution, skin: IntArray, outer: IntArray) -> dict[str, object]:
+    """How much deeper outer skin of the lips lies in flesh than in the deeper source, in the worst shape."""
+    found: dict[str, object] = {"over_mm": 0.0, "shape": "rest"}
+    sources, lips = session.sources, [body.skin for body in session.contacts.bodies if body.soft]
+    watched = np.intersect1d(np.concatenate(lips), outer)
+    for shape, (*theirs, own) in _poses(solution, sources.points, sources.mm_per_unit, watched):
+        deep = _in_flesh(own, watched, skin)
+        if deep > found["over_mm"]:  # else it can't be the worst, whatever the sources have
+            depths = [_in_flesh(points, watched, skin) for points in theirs]
+            if deep - max(depths) > found["over_mm"]:
+                found = {"over_mm": deep - max(depths), "shape": shape, "depths_mm": [*depths, deep]}
     return found
+
+
+def _in_flesh(points: FloatArray, watched: IntArray, skin: IntArray) -> float:
+    """mm that skin at the worst of some points lies in flesh of the face: as far as this laps over itself below."""
+    normals, numbers = point_normals(points, skin)[watched], WindingNumbers(points, skin)
+    rows, depth = np.flatnonzero(numbers.at(points[watched] + _OFF_MM * normals) > 0.5), 0.0
+    while depth < _DEEPEST_MM:
+        rows = rows[numbers.at(points[watched[rows]] - (depth + _STEP_MM) * normals[rows]) > 1.5]
+        if not len(rows):
+            break
+        depth += _STEP_MM
+    return depth
 
 
 def _outer_shell(triangles: IntArray, points: FloatArray) -> IntArray:

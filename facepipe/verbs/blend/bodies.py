@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from facepipe.geometry.geodesics import graph_distances, surface_graph
 from facepipe.geometry.polygons import border_points, point_areas, point_normals
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.geometry.vectors import unit_vectors
+from facepipe.geometry.winding_numbers import WindingNumbers
 from facepipe.scans import LANDMARK_COUNT, LANDMARK_SCHEME
 from facepipe.verbs.blend.graph import Graph
 from facepipe.verbs.blend.sources import Sources
@@ -28,6 +29,8 @@ _NEAR_MM = 30.0  # from teeth and gums at rest within which skin is looked at: j
 _DEEPEST_MM = 3.0  # from a surface up to which skin is in it, not behind it
 _NEAREST = 6  # points of a surface whose triangles are looked at: of 4, one place in 2,000 is not the nearest
 _LIPS_MM = 16.0  # from the outer lips' landmarks, along the skin: what may meet the other lip
+_OFF_MM = 0.02  # from skin, where it is asked whether that lies in flesh
+_INSIDE = 0.25  # winding number: of open sheets it is -0.5 to 0 at their outside, and 1 more in flesh
 _JOINED_MM = 3.0  # along the skin from the other lip: lips that are joined there, at corners
 _HARD = ("teeth", "tooth", "gum")  # in names of meshes
 _UPPER, _LOWER, _CORNERS = [49, 50, 51, 52, 53], [55, 56, 57, 58, 59], [48, 54]  # landmarks of the outer lips
@@ -42,8 +45,14 @@ class Body:
     triangles: IntArray  # (t, 3) into `points`
     skin: IntArray  # (s,)
     ball: IntArray | None = None  # (q,) all points of an eyeball, which is met along rays from its centre
-    soft: bool = False  # skin itself, the other lip: it gives way too
     facing: IntArray | None = None  # (f, 3) triangles into `skin`, of lips
+    # (f, 3) all triangles of the face, of a lip: it is skin too, and gives way
+    flesh: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+
+    @property
+    def soft(self) -> bool:
+        """Whether it is a lip."""
+        return len(self.flesh) > 0
 
     @cached_property
     def around(self) -> Any:
@@ -81,13 +90,13 @@ class Surface:
 
     :param pose: (n, 3) all points
     :param centre: (3,) of an eyeball
-    :param deepest: distance up to which skin is in a body, not behind it
     """
 
-    def __init__(self, body: Body, pose: FloatArray, centre: FloatArray | None, deepest: float) -> None:
+    def __init__(self, body: Body, pose: FloatArray, centre: FloatArray | None, mm_per_unit: float) -> None:
         from scipy.spatial import cKDTree
 
-        self.body, self._deepest, self._points = body, deepest, pose[body.points]
+        self.body, self._deepest, self._points = body, _DEEPEST_MM / mm_per_unit, pose[body.points]
+        self._pose, self._off = pose, _OFF_MM / mm_per_unit
         self.ball = None if centre is None else RadialSurface(self._points, centre)
         if self.ball is None:
             self._normals = point_normals(self._points, body.triangles)
@@ -97,10 +106,10 @@ class Surface:
             self._spacing = np.zeros(len(self._points))
             np.maximum.at(self._spacing, ends[:, 0], lengths)
 
-    def touching(self, points: FloatArray, normals: FloatArray) -> Touching:
+    def touching(self, points: FloatArray, normals: FloatArray | None = None) -> Touching:
         """Those of `points` (m, 3) that lie in the body.
 
-        :param normals: (m, 3) of the skin there
+        :param normals: (m, 3) of the skin there, for lips
         """
         if self.ball is not None:
             depths = self.ball.depths(points)
@@ -113,16 +122,35 @@ class Surface:
         beyond = np.einsum("mi,mi->m", points[rows] - self._points[nearest[rows]], self._normals[nearest[rows]])
         rows = rows[beyond < self._spacing[nearest[rows]]]  # what is clearly outside of the plane there takes long
         depths, ways, beside = self._depths(points[rows])
-        inside = (depths > 0) & ~beside
-        if self.body.soft:
+        inside = (depths > self._off if self.body.soft else depths > 0) & ~beside
+        if normals is not None:
             inside &= np.einsum("mi,mi->m", ways, normals[rows]) < 0  # lips face each other
+            inside[inside] = self._in_flesh(points[rows[inside]], normals[rows[inside]])
         rows = rows[inside]
         leaders = self.body.points[nearest[rows]] if self.body.soft else np.full(len(rows), -1)
         return Touching(rows, depths[inside], ways[inside], leaders)
 
-    def depths(self, points: FloatArray) -> FloatArray:
+    def depths(self, points: FloatArray, normals: FloatArray | None = None) -> FloatArray:
         """(m,) how deep `points` (m, 3) lie in the body, behind it or its border: it is what is let through."""
-        return self.ball.depths(points) if self.ball is not None else self._depths(points)[0].clip(0.0)
+        if self.ball is not None:
+            return self.ball.depths(points)
+        depths = self._depths(points)[0].clip(0.0)
+        if normals is not None:
+            rows = np.flatnonzero(depths)
+            depths[rows] *= self._in_flesh(points[rows], normals[rows])
+        return depths
+
+    def _in_flesh(self, points: FloatArray, normals: FloatArray) -> BoolArray:
+        """(m,) whether skin at `points` (m, 3) lies inside the face, not on its outside.
+
+        At corners of mouths lips are folds of less than a millimetre: of places 0.3 mm or more below the nearest one of
+        the other lip, by its normal, 7 of 8 are in the open.
+        """
+        return np.asarray(self._flesh.at(points + self._off * normals) > _INSIDE)
+
+    @cached_property
+    def _flesh(self) -> WindingNumbers:
+        return WindingNumbers(self._pose, self.body.flesh)
 
     def _depths(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """(m,) how deep `points` (m, 3) lie below the nearest place of the surface, (m, 3) the way out there, and
@@ -146,19 +174,19 @@ class Stand:
     """One face, a source or the blend, at rest: its points (n, 3) and the surfaces of all bodies."""
 
     def __init__(self, bodies: Sequence[Body], points: FloatArray, mm_per_unit: float) -> None:
-        self._points, self._deepest = points, _DEEPEST_MM / mm_per_unit
-        self._rest = {body: Surface(body, points, _centre(body, points), self._deepest) for body in bodies}
+        self._points, self._mm_per_unit = points, mm_per_unit
+        self._rest = {body: Surface(body, points, _centre(body, points), mm_per_unit) for body in bodies}
 
     def surface(self, body: Body, pose: FloatArray, moving: BoolArray) -> Surface:
         """A body in a pose (n, 3) of the face in which some points (n,) move."""
         rest = self._rest[body]
-        if not moving[body.points].any():
+        if not moving[body.flesh if body.soft else body.points].any():
             return rest
         centre = None
         if body.ball is not None and rest.ball is not None:
             motion = fit_similarity(self._points[body.ball], pose[body.ball])
             centre = motion.apply(rest.ball.centre[None])[0]
-        return Surface(body, pose, centre, self._deepest)
+        return Surface(body, pose, centre, self._mm_per_unit)
 
 
 def _centre(body: Body, points: FloatArray) -> FloatArray | None:
@@ -262,7 +290,8 @@ def _lips(graph: Graph, mouth: _Mouth | None) -> Iterator[Body]:
     for name, points, other in zip(("lower lip", "upper lip"), lips, lips[::-1], strict=True):
         if len(points) and len(other):
             triangles, facing = (_inside(one, graph.triangles, count) for one in (points, other))
-            yield Body(name, points, triangles, other, soft=True, facing=facing)
+            flesh = graph.triangles[graph.main[graph.triangles[:, 0]]]
+            yield Body(name, points, triangles, other, facing=facing, flesh=flesh)
 
 
 def _outer_shell(part: IntArray, points: FloatArray, graph: Graph) -> tuple[IntArray, IntArray]:

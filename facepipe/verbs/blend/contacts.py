@@ -189,21 +189,23 @@ class _Meeting:
         scene, body = self.scene, self.body
         if self.surface is None or body.soft:  # what is hard stays where it is when skin is pushed
             self.surface = scene.stand.surface(body, scene.pose, scene.moving)
-        self.found = self.surface.touching(scene.pose[self.skin], self._normals())
+        every = np.arange(len(self.skin))
+        self.found = self.surface.touching(scene.pose[self.skin], self._normals(scene.pose, every))
         rows = self.found.rows[np.isnan(self.allowed[0, self.found.rows])]
         if len(rows) and not self.sources:
             stands = enumerate(scene.source_stands)
             self.sources = [own.surface(body, scene.source_poses[k], scene.moving) for k, own in stands]
         for k, surface in enumerate(self.sources if len(rows) else ()):
-            self.allowed[k, rows] = surface.depths(scene.source_poses[k][self.skin[rows]])
+            pose = scene.source_poses[k]
+            self.allowed[k, rows] = surface.depths(pose[self.skin[rows]], self._normals(pose, rows))
         self.beyond = self.found.depths - self.allowed[:, self.found.rows].max(axis=0)
 
-    def _normals(self) -> FloatArray:
-        """(s, 3) of the skin of lips, 0 elsewhere."""
+    def _normals(self, pose: FloatArray, rows: IntArray) -> FloatArray | None:
+        """(m, 3) of the skin at `rows` (m,), where the body is a lip."""
         if self.body.facing is None:
-            return np.zeros((len(self.skin), 3))
-        normals = point_normals(self.scene.pose[self.body.skin], self.body.facing)
-        return normals[np.searchsorted(self.body.skin, self.skin)]
+            return None
+        normals = point_normals(pose[self.body.skin], self.body.facing)
+        return np.asarray(normals[np.searchsorted(self.body.skin, self.skin[rows])])
 
     @property
     def cost(self) -> float:

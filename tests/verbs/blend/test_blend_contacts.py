@@ -42,13 +42,13 @@ def test_depths_are_distances_to_the_nearest_place_at_sharp_edges_too() -> None:
     for _ in range(3):
         tooth = tooth.subdivide()
     body = Body("Teeth", np.arange(len(tooth.vertices)), np.asarray(tooth.faces), np.zeros(0, np.int64))
-    surface = Surface(body, np.asarray(tooth.vertices), None, 3.0)
+    surface = Surface(body, np.asarray(tooth.vertices), None, 1.0)
     points = np.random.default_rng(3).uniform(-1.0, 1.0, (2000, 3)) * (2.5, 1.5, 3.5)
     deep = (np.array([2.0, 1.0, 3.0]) - np.abs(points)).min(axis=1)  # of a box, below its nearest side
     inside = deep > 0
     np.testing.assert_allclose(surface.depths(points)[inside], deep[inside], atol=1e-9)
     assert not surface.depths(points[~inside]).any()
-    touching = surface.touching(points, np.zeros_like(points))
+    touching = surface.touching(points)
     np.testing.assert_array_equal(touching.rows, np.flatnonzero(inside))
     np.testing.assert_allclose(touching.depths, deep[inside], atol=1e-9)
 
@@ -274,3 +274,36 @@ def test_a_blend_turns_no_triangle_over_that_no_source_turns() -> None:
         *theirs, own = (triangle_normals(pose, blend.graph.triangles) for pose in poses)
         away = np.all([np.einsum("ti,ti->t", own, normals) < 0 for normals in theirs], axis=0)
         assert not away.any()
+
+
+def wedge(angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Flesh between two walls (n, 3) that meet at an edge, and its triangles: a lip at a corner of the mouth."""
+    solid: Any = trimesh.creation.extrude_triangulation(
+        np.array([[0.0, 0.0], [10.0, -10.0 * np.tan(angle / 2)], [10.0, 10.0 * np.tan(angle / 2)]]),
+        np.array([[0, 1, 2]]),
+        20.0,
+    )
+    for _ in range(3):
+        solid = solid.subdivide()
+    return np.asarray(solid.vertices) - (0.0, 0.0, 10.0), np.asarray(solid.faces)
+
+
+def test_skin_lies_in_a_lip_only_inside_its_flesh() -> None:
+    """Beyond the edge of a thin fold places are below the plane of one of its walls, and yet in the open."""
+    points, flesh = wedge(0.2)
+    one_wall = np.flatnonzero(points[:, 1] <= 1e-9)  # what is known of the other lip ends at the edge
+    place = np.full(len(points), -1)
+    place[one_wall] = np.arange(len(one_wall))
+    wall = place[flesh][(place[flesh] >= 0).all(axis=1)]
+    body = Body("lip", one_wall, wall, np.zeros(0, np.int64), flesh=flesh)
+    random = np.random.default_rng(5)
+    asked = random.uniform((0.5, -0.8, -5.0), (8.0, 0.8, 5.0), (1000, 3))
+    inside = np.abs(asked[:, 1]) < asked[:, 0] * np.tan(0.1)
+    clear = np.abs(np.abs(asked[:, 1]) - asked[:, 0] * np.tan(0.1)) > 0.05
+    upward = np.tile((0.0, 1.0, 0.0), (len(asked), 1))
+    depths = Surface(body, points, None, 1.0).depths(asked, upward)
+    without = Surface(replace(body, flesh=np.zeros((0, 3), np.int64)), points, None, 1.0).depths(asked)
+    assert (without[clear & ~inside] > 0.1).sum() > 100
+    assert not depths[clear & ~inside].any()
+    np.testing.assert_array_equal(depths[clear & inside], without[clear & inside])
+    assert depths[clear & inside].min() > 0

@@ -1,0 +1,55 @@
+"""Whether places lie inside a surface that may be open, folded or run through itself: its winding numbers there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+
+_FAR = 3.0  # radii of a triangle from which on its area alone counts: off by less than 0.01 in all for a head's skin
+
+
+class WindingNumbers:
+    """How often a surface goes around a place: 1 inside, 0 outside, 2 where it laps over itself.
+
+    The sum of the solid angles of all triangles, over 4 pi: van Oosterom and Strackee, The solid angle of a plane
+    triangle, 1983; far triangles as dipoles: Barill et al., Fast winding numbers for soups and clouds, 2018.
+    """
+
+    def __init__(self, points: FloatArray, triangles: IntArray) -> None:
+        """Of `points` (n, 3) and `triangles` (t, 3)."""
+        columns = np.ascontiguousarray(points.T)  # a coordinate a row: a tenth of the time of rows of points
+        self._corners = a, b, c = [columns[:, triangles[:, corner]] for corner in range(3)]
+        self._middles = (a + b + c) / 3.0
+        self._areas = 0.5 * _cross(b - a, c - a)
+        self._reach2 = np.zeros(len(triangles))
+        for corner in self._corners:
+            np.maximum(self._reach2, _FAR**2 * _dot(corner - self._middles, corner - self._middles), out=self._reach2)
+
+    def at(self, places: FloatArray) -> FloatArray:
+        """(m,) of `places` (m, 3). An open surface counts as the share of the sphere around that it covers."""
+        # one by one: temporary arrays of many places at once take five times as long a place
+        return np.array([self._at(place[:, None]) for place in places])
+
+    def _at(self, place: FloatArray) -> float:
+        away = self._middles - place
+        distances2 = _dot(away, away)
+        near = np.flatnonzero(distances2 < self._reach2)
+        distances2[near] = np.inf  # these are taken exactly
+        dipoles = _dot(away, self._areas) / (distances2 * np.sqrt(distances2))
+        a, b, c = (corner[:, near] - place for corner in self._corners)
+        la, lb, lc = (np.sqrt(_dot(corner, corner)) for corner in (a, b, c))
+        beside = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
+        angles = 2.0 * np.arctan2(_dot(a, _cross(b, c)), beside)
+        return float(dipoles.sum() + angles.sum()) / (4.0 * np.pi)
+
+
+def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(t,) of columns (3, t)."""
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(3, t) of columns (3, t)."""
+    (a, b, c), (d, e, f) = first, second
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d])
