@@ -17,7 +17,7 @@ from recovery_targets import head_without_neck, posed, random_expression
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray
-from facepipe.heads.assembly import average, modes, with_own_blinks, with_parts_fitted
+from facepipe.heads.assembly import average, modes, with_own_lids, with_parts_fitted
 from facepipe.heads.asset import asset
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
@@ -65,7 +65,7 @@ def person(number: int, seed: int) -> Person:
     shape, colors = (np.random.default_rng([seed, number, stream]) for stream in range(2))
     within = asset().points + np.tensordot(shape.standard_normal(len(modes())), modes(), axes=1)
     points, nearest = (with_parts_fitted(one) for one in (within + _residual(shape) / MM, within))
-    bare = with_own_blinks(AuthorNeutral().changed(average(), MM * points), points)
+    bare = with_own_lids(AuthorNeutral().changed(average(), MM * points), points)
     look = draw(int(colors.integers(1, _SEEDS))).look
     return Person(
         parts=dressed(bare, look, _TEXELS),

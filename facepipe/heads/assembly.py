@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -12,10 +12,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, arrays, asset, unpacked
+from facepipe.heads.lid_fit import LOOKS, SIDES, SQUINT, TURN, Ends, Eye, Socket
 from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed, laid_again
@@ -36,16 +37,15 @@ from facepipe.parts import (
 )
 from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
 
-SIDES = ("Left", "Right")
 MEET = 0.433  # cm below the middle of an eye: where lids meet
 _MIDDLE = 1.0  # cm on each side of the middle, over which left and right mix
-_TURN = 0.5  # radians that an eye turns to the side, and up or down, at 1
 TALK = "talk"
 _RATE = 24
 _SPOKEN = ("sil", "DD", "E", "FF", "aa", "SS", "O", "PP", "U", "sil")  # over a second, each passing into the next
 _HEAD, _NECK = "root/neck/head", "root/neck"
 _EYES = (f"{_HEAD}/eyeLeft", f"{_HEAD}/eyeRight")
 _MIRRORED = ("tx", "ry", "rz")  # channels of the other sign on the other side
+_SAME = 1e-4  # cm: shapes that differ less are the same
 _LEAST = 1e-3  # cm, or share of the size: less moves no joint
 _CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
     *(("eye", channel, column, 1.0) for column, channel in enumerate(("tx", "ty", "tz", "sx"))),
@@ -80,6 +80,7 @@ VISEMES: dict[str, dict[str, float]] = {
 }
 Controls = Literal["measures", "bones"]
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+LIDS = (*BLINKS, *(name + side for name in (*LOOKS, SQUINT) for side in SIDES))  # shapes that each person has fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +136,42 @@ def bone_sliders() -> tuple[Slider, ...]:
                     channels.append((paths[joint], channel, gain))
             made.append(Slider(name=name, group=group, minimum=-1.0, channels=tuple(channels)))
     return tuple(made)
+
+
+@cache
+def _sockets() -> tuple[Socket, ...]:
+    return tuple(Socket.of(side, _eye_ends) for side in SIDES)
+
+
+def _eye_ends(side: str, lids: IntArray) -> Ends:
+    """The sliders of measures that change both eyes, at both ends."""
+    offsets = {shape.name: shape.offsets[lids] for one in directions() for shape in one.shapes}
+    moved, ball, joints = [], [], []
+    for slider in identity_sliders():
+        if slider.group == "eyes" and not slider.name.endswith(SIDES):
+            gains = {
+                (joint.rpartition("/")[2].removesuffix(side), channel): gain
+                for joint, channel, gain in slider.channels
+                if joint.endswith(side)
+            }
+            for end in (-1.0, 1.0):
+                moved.append(end * sum(gain * offsets[shape] for shape, gain in slider.shapes))
+                ball.append([end * gains.get(("eye", channel), 0.0) for channel in ("tx", "ty", "tz", "sx")])
+                joints.append([end * gains.get(("lidUpper", channel), 0.0) for channel in ("ty", "sy")])
+    return Ends(lids=np.array(moved), ball=np.array(ball), joints=np.array(joints))
+
+
+def _with_looks(points: FloatArray, shapes: Shapes) -> Shapes:
+    """The shapes with looks and squints that keep the lids of points (n, 3) before the eyeballs."""
+    fitted = dict(shapes)
+    for side, socket in zip(SIDES, _sockets(), strict=True):
+        names = {name: f"{name}{side}" for name in (*LOOKS, SQUINT)}
+        own = {name: {at: ways[socket.lids] for at, ways in shapes[full].items()} for name, full in names.items()}
+        for name, ways in Eye.of(socket, points).fitted(own).items():
+            fitted[names[name]] = whole = {at: way.astype(np.float64) for at, way in shapes[names[name]].items()}
+            for at, way in ways.items():
+                whole[at][socket.lids] = way
+    return fitted
 
 
 Gains = Sequence[tuple[Direction, float]]
@@ -204,7 +241,7 @@ def _look(name: str, channel: str, forth: tuple[str, ...], back: tuple[str, ...]
         name=name,
         group="eyes",
         minimum=-1.0,
-        channels=tuple((eye, channel, _TURN) for eye in _EYES),
+        channels=tuple((eye, channel, TURN) for eye in _EYES),
         channel_curves=(None, None),
         shapes=tuple((shape, 1.0) for shape in (*forth, *back)),
         shape_curves=(_RISING,) * len(forth) + (_FALLING,) * len(back),
@@ -277,6 +314,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     points, shapes = fit_eyes(fit_mouth(points), head.shapes)
+    shapes = _with_looks(points, shapes)
     if controls == "measures":
         shapes = {
             **shapes,
@@ -394,16 +432,38 @@ def with_parts_fitted(points: FloatArray) -> FloatArray:
 
 
 @one_thread()
-def with_own_blinks(parts: FaceParts, points: FloatArray) -> FaceParts:
-    """A face of the built-in head's topology, whose blinks close the lids of points (n, 3), in centimetres."""
-    shapes = fit_eyes(points, asset().shapes)[1]
-    own = {name: shapes[name] for name in BLINKS}
+def with_own_lids(parts: FaceParts, points: FloatArray, names: Collection[str] = LIDS) -> FaceParts:
+    """A face of the built-in head's topology, whose lids fit the eyeballs of points (n, 3) in centimetres.
+
+    :param names: of LIDS, those of its shapes that are made anew: blinks close its lids, the others keep what somebody
+        has changed in them
+    """
+    known = {name: _changed(parts, name) or asset().shapes[name] for name in LIDS if name not in BLINKS}
+    shapes = _with_looks(points, {**fit_eyes(points, asset().shapes)[1], **known})
+    own = {name: shapes[name] for name in names}
     meshes = []
     for mesh in parts.meshes:
         part = asset().parts.get(mesh.name)
-        blinks = {} if part is None else {shape.name: shape for shape in blendshapes_of(part, own)}
-        meshes.append(replace(mesh, blendshapes=tuple(blinks.get(shape.name, shape) for shape in mesh.blendshapes)))
+        lids = {} if part is None else {shape.name: shape for shape in blendshapes_of(part, own)}
+        meshes.append(replace(mesh, blendshapes=tuple(lids.get(shape.name, shape) for shape in mesh.blendshapes)))
     return replace(parts, meshes=tuple(meshes))
+
+
+def _changed(parts: FaceParts, name: str) -> dict[float, FloatArray] | None:
+    """A shape of a face as (n, 3) offsets by weight; None: it is the built-in head's but for lids, which people differ
+    in."""
+    rows = {one.name: part.points for one in parts.meshes if (part := asset().parts.get(one.name))}
+    found: dict[float, FloatArray] = {}
+    for mesh in parts.meshes:
+        for shape in mesh.blendshapes:
+            if shape.name == name and mesh.name in rows:
+                for weight, offsets in ((1.0, shape.offsets), *((one.weight, one.offsets) for one in shape.inbetweens)):
+                    whole = found.setdefault(weight, np.zeros_like(asset().points))
+                    whole[rows[mesh.name]][shape.point_indices] = offsets
+    skin = np.ones(len(asset().points), bool)
+    skin[arrays("lids")["lids"]] = False
+    same = found and np.abs(found[1.0] - asset().shapes[name][1.0])[skin].max() < _SAME
+    return None if same or not found else found
 
 
 @one_thread()

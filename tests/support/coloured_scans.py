@@ -13,7 +13,7 @@ from facepipe.geometry.coarse_surface import surface_look
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.geometry.polygons import point_triangles
-from facepipe.heads.assembly import average, modes, with_own_blinks, with_parts_fitted
+from facepipe.heads.assembly import average, modes, with_own_lids, with_parts_fitted
 from facepipe.heads.asset import asset
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
@@ -44,7 +44,7 @@ def coloured_scan(seed: int) -> tuple[Scan, FloatArray]:
     person = asset().points + np.tensordot(rng.standard_normal(len(modes())), modes(), axes=1)
     warp = _WARP / np.sqrt(3.0) * smooth_field(_CM * asset().points, _WARP_LENGTH, 3, rng)
     truth = with_parts_fitted(person + warp / _CM)
-    bare = with_own_blinks(AuthorNeutral().changed(average(), _CM * truth), truth)
+    bare = with_own_lids(AuthorNeutral().changed(average(), _CM * truth), truth)
     parts = dressed(bare, replace(draw(seed).look, style="crop"), _TEXELS)
     parts = replace(parts, meshes=tuple(mesh for mesh in parts.meshes if mesh.name != "Hair"))
     points, triangles = retriangulated(*_surface(parts), rng)

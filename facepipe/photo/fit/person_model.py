@@ -138,9 +138,9 @@ class PersonModel:
         for _ in range(_ROUNDS if values else 0):
             parts = change(self.parts, person - _moves_by(parts, sliders)(values))
         if self.built_in:
-            from facepipe.heads.assembly import with_own_blinks
+            from facepipe.heads.assembly import with_own_lids
 
-            parts = with_own_blinks(parts, person[: self.count] / 10)
+            parts = with_own_lids(parts, person[: self.count] / 10)
         meshes = {mesh.name: mesh for mesh in parts.meshes}
         author_changes(face, replace(parts, meshes=tuple(meshes[mesh.name] for mesh in face.meshes)))
         report = IdentityReport(

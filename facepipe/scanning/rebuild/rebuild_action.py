@@ -95,7 +95,6 @@ class RebuildAction(StageAction["RebuildReport"]):
 
     def author(self, face: Face, job: Job) -> RebuildReport:
         from facepipe.core.atomic import apart
-        from facepipe.heads.assembly import BLINKS
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import QualityLimits, load_database, misses
         from facepipe.scanning.rebuild.built_in_head import (
@@ -125,8 +124,8 @@ class RebuildAction(StageAction["RebuildReport"]):
         if bare_head(parts) is not None:
             neutral = neutral if rebuilt.corrected else with_inside_fitted(neutral)
             found = rebuilt.reports.get("shapes", {}).get("shapes", {})
-            blinks = not any(found[name]["observed"] > 0 for name in BLINKS if name in found)
-            author = replace(author, settled=partial(settled, parts, blinks=blinks))
+            observed = frozenset(name for name, shape in found.items() if shape["observed"] > 0)
+            author = replace(author, settled=partial(settled, parts, observed=observed))
         authored = author(face, template.dressed(body, neutral), recipe=job.recipe(quality=quality))
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
         place = rebuilt.places.get("refined", rebuilt.places["neutral"])

@@ -17,6 +17,7 @@ from node import validate
 import facepipe
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.heads import make
+from facepipe.heads.assembly import LIDS
 from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
@@ -57,7 +58,7 @@ def test_people_are_those_of_the_modes() -> None:
     np.testing.assert_allclose(spread, ((10 * asset().modes.astype(np.float64)) ** 2).sum(axis=0), rtol=1e-6, atol=1e-6)
 
 
-def test_eyes_blinks_and_cards_are_those_of_the_person() -> None:
+def test_eyes_lids_and_cards_are_those_of_the_person() -> None:
     """Given a drawn person's skin, all that goes with it comes out as that person has it."""
     truth, (parts, body) = make(21, textures=SIZE), built_in()
     count = Topology.of(body).point_count
@@ -69,7 +70,7 @@ def test_eyes_blinks_and_cards_are_those_of_the_person() -> None:
         np.testing.assert_allclose(mesh.points, own.points, atol=1e-6)
         offsets = {shape.name: shape.offsets for shape in own.blendshapes}
         for shape in mesh.blendshapes:
-            if mesh.name in CARDS or shape.name in BLINKS:
+            if mesh.name in CARDS or shape.name in LIDS:
                 assert np.abs(shape.offsets - offsets[shape.name]).mean() < 3e-3, shape.name  # cm
 
 
