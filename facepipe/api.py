@@ -39,12 +39,22 @@ def read(path: AnyPath, kind: str | None = None, **options: Any) -> Face:
     return read_face(Path(path), kind, options_of(kind)(**options))
 
 
-def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, overwrite: bool = False) -> Face:
+def sample(
+    out: AnyPath | None = None,
+    *,
+    seed: int = 0,
+    textures: int = 2048,
+    age: float | None = None,
+    feminine: float | None = None,
+    overwrite: bool = False,
+) -> Face:
     """The built-in head: one topology, a different person for every seed.
 
     :param out: a stage to save it as; None: it is in memory
     :param textures: texels a side of the skin's textures; 0: colours at points, and no hair
-    :raises InputError: a seed below 0, or a file that can't be written
+    :param age: years, 18 to 80; None: as the seed draws it
+    :param feminine: 0 a man, 1 a woman; None: as the seed draws it
+    :raises InputError: a seed below 0, an age or `feminine` out of range, or a file that can't be written
     """
     from facepipe.heads import make
     from facepipe.stage import Face, open_face, save_parts
@@ -52,7 +62,7 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, o
 
     if out is not None:
         check_output(Path(out), (), overwrite=overwrite)
-    parts = make(seed, textures=textures)
+    parts = make(seed, textures=textures, age=age, feminine=feminine)
     if out is None:
         return Face.from_parts(parts)
     save_parts(parts, out)

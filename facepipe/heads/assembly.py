@@ -18,7 +18,7 @@ from facepipe.core.threads import one_thread
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, arrays, asset, unpacked
 from facepipe.heads.lid_fit import LOOKS, SIDES, SQUINT, TURN, Ends, Eye, Socket
 from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
-from facepipe.heads.people import draw
+from facepipe.heads.people import OLDEST, YOUNGEST, draw
 from facepipe.heads.surfaces import dressed, laid_again
 from facepipe.parts import (
     Animation,
@@ -293,20 +293,33 @@ def _animation(name: str, times: FloatArray | None, shapes: _Tracks, turns: _Tra
 
 
 @one_thread()
-def make(seed: int = 0, *, textures: int = 0, controls: Controls = "measures") -> FaceParts:
+def make(
+    seed: int = 0,
+    *,
+    textures: int = 0,
+    controls: Controls = "measures",
+    age: float | None = None,
+    feminine: float | None = None,
+) -> FaceParts:
     """A person's head; seed 0 is the average one. Same seed, same arrays, and one topology for all.
 
     :param textures: texels a side of the skin's textures; 0: colours at points, no textures, and so no hair
     :param controls: sliders of measures, over shapes of their own, or sliders over bones
-    :raises InputError: a seed below 0
+    :param age: years, 18 to 80; None: as the seed draws it
+    :param feminine: 0 typically male, 1 typically female; None: as the seed draws it
+    :raises InputError: a seed below 0, or an age or `feminine` out of range
     """
     if seed < 0:
         raise InputError("seed", f"is {seed}, expected 0 or more")
-    who = draw(seed)
+    given = {"age": (age, YOUNGEST, OLDEST), "feminine": (feminine, 0.0, 1.0)}
+    for name, (value, low, high) in given.items():
+        if value is not None and not low <= value <= high:
+            raise InputError(name, f"is {value:g}, expected {low:g} to {high:g}")
+    who = draw(seed, years=age, feminine=feminine)
     made = dressed(make_head(who.identity, controls), who.look, textures or None)
-    return replace(
-        made, recipe=Recipe(verb="sample", options={"seed": seed, "textures": textures, "controls": controls})
-    )
+    asked = {name: value for name, (value, _, _) in given.items() if value is not None}
+    options = {"seed": seed, "textures": textures, "controls": controls, **asked}
+    return replace(made, recipe=Recipe(verb="sample", options=options))
 
 
 def make_head(identity: FloatArray, controls: Controls = "measures") -> FaceParts:

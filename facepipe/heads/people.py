@@ -9,7 +9,7 @@ made up to be plausible: no survey is in it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,6 +61,13 @@ STYLES = {  # how much hair colours the scalp, and the picture that its cards sh
 BEARDS = {"stubble": 0.0, "moustache": 0.9, "goatee": 0.85, "full": 0.9}  # how much hair colours the skin below cards
 
 
+BROWS = {  # pictures of their hairs, the fullest last
+    "soft": ("brows0.png", "brows1.png", "brows2.png"),
+    "arched": ("brows_arched.png",),
+    "straight": ("brows_straight.png",),
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Look:
     """Colours and signs of one person; shares are 0..1."""
@@ -69,19 +76,22 @@ class Look:
     tone: float = 4.0  # Monk's scale, 1..10
     redness: float = 0.5  # blood in cheeks, nose and ears
     lips: float = 0.5  # colour of the lips
-    age: float = 0.3  # lines and spots
+    age: float = 0.3  # 0 at 18 years, 1 at 80: lines, spots, veins, rough and uneven skin
+    feminine: float = 0.5  # finer skin, darker rims of lids, redder lips
     freckles: float = 0.0
     beard: float = 0.0  # stubble and its shade
     brows: float = 0.5  # how full they are
+    brow_shape: str = "soft"  # one of BROWS
     eyes: str = "brown"  # one of IRIS
     hair: str = "dark"  # one of HAIR
+    grey: float = 0.0  # share of the hairs that have lost that colour
     style: str = "crop"  # one of STYLES
     whiskers: str = "stubble"  # one of BEARDS
 
     @property
     def hair_color(self) -> FloatArray:
-        """(3,) linear."""
-        return np.array(HAIR[self.hair])
+        """(3,) linear, in the mean over the hairs."""
+        return np.array(HAIR[self.hair]) * (1 - self.grey) + np.array(HAIR["grey"]) * self.grey
 
     @property
     def skin(self) -> FloatArray:
@@ -94,12 +104,18 @@ class Look:
         """0 for the lightest skin, 1 for the darkest."""
         return float(np.clip((self.tone - 1) / 9, 0, 1))
 
+    @property
+    def worn(self) -> float:
+        """How much years have left on the skin: 0 up to 25 years, 0.5 at 47, 1 from 75 on."""
+        return float(np.clip((self.age - 0.12) / 0.8, 0, 1) ** 0.85)
+
 
 MODES = 100
 TONES = 10  # of Monk's scale
 _FARTHEST = 2.5  # standard deviations of a mode's weight
-_YOUNG, _OLD = 18.0, 80.0  # years
+YOUNGEST, OLDEST = 18.0, 80.0  # years
 _FEWER_OLD = 1.6  # the exponent of an even draw between the two
+_TYPICAL = 1.2  # the sex of whom `feminine` is at an end
 _STEP = 1 / 2048  # of packed weights
 
 _LIGHT, _MIDDLE, _DARK = 2.5, 5.0, 7.0  # tones between which the shares below are mixed
@@ -120,12 +136,11 @@ _EYES = {
     "grey": (0.10, 0.0, 0.0),
 }
 _FAIR = {"black": 0.1, "dark": 0.5, "brown": 1.0, "light": 1.6, "blond": 2.5, "red": 1.6}  # times for fair eyes
-_STYLES = {  # share of women and of men
+_STYLES = {  # share of women and of men; hairlines recede by age
     "bald": (0.01, 0.06),
     "stubble": (0.01, 0.07),
     "buzz": (0.03, 0.15),
     "crop": (0.09, 0.24),
-    "receding": (0.0, 0.12),
     "parted": (0.05, 0.14),
     "slick": (0.03, 0.08),
     "fringe": (0.14, 0.01),
@@ -137,9 +152,16 @@ _STYLES = {  # share of women and of men
     "afro": (0.03, 0.01),
 }
 _BEARDS = {"stubble": 0.66, "moustache": 0.06, "goatee": 0.1, "full": 0.18}  # share of men
+_SHAVEN = 0.15  # how much a man's beard shows at least
+_BROWS = {  # share of women and of men
+    "soft": (0.45, 0.5),
+    "arched": (0.5, 0.02),
+    "straight": (0.05, 0.48),
+}
 _CURLED = ("coils", "afro")
-_RECEDES = (0.1, 2.0)  # times for a receding hairline at the youngest and at the oldest
-_GREYING = 0.4  # share of the oldest who show it
+_RECEDES = (0.01, 0.4)  # share of men whose hairline has receded at the youngest and at the oldest
+_GREYING = 0.4  # share of the oldest who show it: the others colour their hair
+_PEPPER = (38.0, 75.0)  # years from which, and to which, hairs of those who let it grow turn grey one by one
 _COILS = (0.2, 1.0, 5.0)  # times for curls at light, middle and dark tones
 
 
@@ -153,49 +175,66 @@ class Person:
     look: Look
 
 
-def draw(seed: int) -> Person:
-    """The person of a seed; seed 0 is the average head. Same seed, same person."""
-    if seed == 0:
-        return Person(identity=np.zeros(MODES), look=Look())
+def draw(seed: int, *, years: float | None = None, feminine: float | None = None) -> Person:
+    """The person of a seed; seed 0 is the average head. Same seed, same person, at every age too.
+
+    :param years: 18 to 80; None: as drawn. Where they are given, nobody colours the hair
+    :param feminine: 0 typically male, 1 typically female; None: as drawn
+    """
     random = np.random.Generator(np.random.PCG64(seed))
     male = bool(random.random() < 0.5)
     sex = float((1.0 if male else -1.0) * np.clip(random.normal(0.9, 0.35), 0.0, 1.6))
-    years = float(_YOUNG + (_OLD - _YOUNG) * random.random() ** _FEWER_OLD)
+    drawn = float(YOUNGEST + (OLDEST - YOUNGEST) * random.random() ** _FEWER_OLD)
     weights = np.clip(random.standard_normal(MODES), -_FARTHEST, _FARTHEST)
+    average = seed == 0 and years is None
+    if seed == 0:
+        sex, drawn, weights = 0.0, Person.years, np.zeros(MODES)
+    if feminine is not None:
+        sex = _TYPICAL * (1.0 - 2.0 * feminine)
     by_sex, old = arrays("measures")["trait_weights"] * _STEP
     across = by_sex / np.linalg.norm(by_sex)
-    aged = 2.0 * (years - _YOUNG) / (_OLD - _YOUNG) - 1.0
-    tone, as_man = float(random.uniform(1.0, TONES)), sex > 0
+    lived = drawn if years is None else years
+    age = (lived - YOUNGEST) / (OLDEST - YOUNGEST)
+    identity = weights + (sex - weights @ across) * across + (0.0 if average else 2.0 * age - 1.0) * old
+    look = Look() if average and feminine is None else _look(random, seed, sex, lived, dyed=years is None)
+    return Person(identity=np.asarray(identity), sex=sex, years=lived, look=look)
+
+
+def _look(random: np.random.Generator, seed: int, sex: float, years: float, *, dyed: bool) -> Look:
+    """Colours and signs of a person of a sex and an age.
+
+    :param dyed: some of the old colour their hair
+    """
+    tone, as_man, age = float(random.uniform(1.0, TONES)), sex > 0, (years - YOUNGEST) / (OLDEST - YOUNGEST)
     hair = _pick(random, _at(_HAIR, tone))
     fair = {"dark": 1.0, "brown": 1.0}
     eyes = _pick(random, {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()})
-    # the older the likelier; more than half never are, as they colour their hair
-    grey, white = _GREYING / (1.0 + np.exp((np.array([55.0, 72.0]) - years) / 5.0))
-    chance = random.random()
+    shown, chance = _GREYING if dyed else 1.0, random.random()
+    white, grey = shown / (1.0 + np.exp((np.array([72.0, 55.0]) - years) / 5.0))
+    pepper = float(np.interp(years, _PEPPER, (0.0, 0.8))) * max(1.0 - chance / shown, 0.0)
     hair = "white" if chance < white else "grey" if chance < grey else hair
     shares = {name: own[as_man] for name, own in _STYLES.items()}
     for curled in _CURLED:
         shares[curled] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
-    shares["receding"] *= float(np.interp(years, (_YOUNG, _OLD), _RECEDES))
-    return Person(
-        identity=np.asarray(weights + (sex - weights @ across) * across + aged * old),
-        sex=sex,
-        years=years,
-        look=Look(
-            seed=seed,
-            tone=tone,
-            eyes=eyes,
-            hair=hair,
-            style=_pick(random, shares),
-            redness=float(random.uniform(0.2, 0.8)),
-            lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
-            age=float((years - _YOUNG) / (_OLD - _YOUNG)),
-            freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
-            beard=float(random.beta(1.2, 1.6) if as_man else 0.0),
-            brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
-            whiskers=_pick(random, _BEARDS) if as_man else "stubble",
-        ),
+    found = Look(
+        seed=seed,
+        tone=tone,
+        eyes=eyes,
+        hair=hair,
+        grey=0.0 if hair in ("grey", "white") else pepper,
+        style=_pick(random, shares),
+        redness=float(random.uniform(0.2, 0.8)),
+        lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
+        age=age,
+        feminine=float(np.clip(0.5 - 0.5 * sex / _TYPICAL, 0.0, 1.0)),
+        freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
+        beard=float(_SHAVEN + (1 - _SHAVEN) * random.beta(1.2, 1.6) if as_man else 0.0),
+        brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
+        whiskers=_pick(random, _BEARDS) if as_man else "stubble",
     )
+    found = replace(found, brow_shape=_pick(random, {name: share[as_man] for name, share in _BROWS.items()}))
+    recedes = as_man and random.random() < np.interp(years, (YOUNGEST, OLDEST), _RECEDES)
+    return replace(found, style="receding") if recedes and STYLES[found.style][1] == "hair.png" else found
 
 
 def _at(shares: Mapping[str, tuple[float, float, float]], tone: float) -> dict[str, float]:

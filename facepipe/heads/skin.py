@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
+from facepipe.heads.ageing import sags
 from facepipe.heads.asset import arrays
 from facepipe.heads.hairlines import bearded, receded
 from facepipe.heads.people import BEARDS, STYLES, Look
@@ -53,6 +54,8 @@ _SHAVED = ("stubble", "buzz")  # styles whose hairs are dots
 _SMALL = 128  # texels a side, up to which every fourth place will do, and spots are smaller than a texel
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
 _MELANIN = np.array([0.45, 0.75, 1.0])
+_LINED = 0.8  # darkening of the lids' rims, where lashes are full
+_GROOVE = 2.0  # darkening in the depth of folds, for each cm
 _SHADE = np.array([0.75, 0.95, 1.0])
 _FLESH = np.array([0.52, 0.20, 0.18])
 
@@ -101,8 +104,15 @@ def _creases(look: Look, tile: int, size: int) -> FloatArray | None:
         number, channel = row["mask"]
         if number not in masks:
             masks[number] = _picture(f"wrinkles_mask{number}.png", 256)
-        total += np.float32(strengths[name] / 255) * masks[number][..., "rgb".index(channel)]
-    return np.asarray(_enlarged(np.minimum(total, 1), size))
+        total += np.float32((1 + look.worn) * strengths[name] / 255) * masks[number][..., "rgb".index(channel)]
+    return np.asarray(_enlarged(np.minimum(total, 1.5), size))
+
+
+def _sagging(look: Look, size: int) -> FloatArray:
+    """(size, size) height in cm of the face's folds and hollows of age, no two people's alike."""
+    own = np.random.default_rng((look.seed, 301)).uniform(0.9, 1.7, len(sags())).astype(np.float32)
+    heights = np.tensordot(own, np.stack(list(sags().values())), axes=1)
+    return np.asarray(_enlarged(np.float32(look.worn) * heights, size))
 
 
 def _noise(look: Look, tile: int, wavelength: float, number: int, step: int = 1) -> FloatArray:
@@ -119,20 +129,25 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
     broad, middle, patch = (_noise(look, tile, size, i, step) for i, size in enumerate((3.2, 1.1, 0.55)))
     light = 1 - 0.6 * look.darkness
     warm = 0.75 * m["cheeks"] + 0.75 * m["nose"] + 0.7 * m["ears"] + 0.3 * m["chin"] - 0.2 * m["forehead"]
-    blood = (0.25 + 0.75 * look.redness) * warm + 0.05 * middle + 0.045 * patch + 0.03 * broad
+    blood = (0.25 + 0.75 * look.redness) * warm + (0.05 * middle + 0.045 * patch + 0.03 * broad) * (1 + 1.2 * look.worn)
+    blood *= 1.15 - 0.3 * look.feminine
     blood = light * blood + 0.32 * m["lid"] + 0.35 * m["rim"] + 0.2 * m["under_eye"]
-    blood += (0.55 + 0.8 * look.lips) * m["lips"] * (1 - 0.35 * look.darkness) * (1 + 0.05 * patch)
-    melanin = 0.025 * broad + 0.02 * middle * (1 + look.age) + (0.16 + 0.12 * look.age) * m["under_eye"]
+    red = (0.3 + 0.8 * look.lips + 0.5 * look.feminine) * (1 - 0.5 * look.worn)
+    blood += red * m["lips"] * (1 - 0.35 * look.darkness) * (1 + 0.05 * patch)
+    melanin = (0.025 * broad + 0.02 * middle) * (1 + 2.5 * look.worn) + (0.16 + 0.2 * look.worn) * m["under_eye"]
     melanin += 0.10 * m["lid"] + (0.10 + 0.25 * look.darkness) * m["lips"] - 0.04 * m["neck"]
     shade = 0.9 * m["lip_line"] * m["lips"] + 0.9 * np.clip(1 - m["open"] / 0.55, 0, 1) * (1 - m["mouth"])
+    shade += _LINED * max(look.feminine - 0.5, 0) * m["rim"]
     shade += look.beard * (0.34 * m["beard"] + 0.1 * m["moustache"]) * (0.5 + 0.5 * light)
+    if look.worn and TILES[tile] == "face":
+        shade += _GROOVE * np.maximum(-_sagging(look, 512 // step), 0)
     colors = np.log(look.skin) - sum(
         amount[..., None] * tint for amount, tint in ((blood, _BLOOD), (melanin, _MELANIN), (shade, _SHADE))
     )
     colors = np.exp(colors)
     creases = _creases(look, tile, 512 // step)
     if creases is not None:
-        colors *= 1 + creases[..., None] * (_picture("wrinkles_tint.jpg", 512 // step) / 255 - 1)
+        colors *= 1 + creases[..., None] * np.float32(0.8) * (_picture("wrinkles_tint.jpg", 512 // step) / 255 - 1)
     hair = scalp * np.clip((cover(look, tile, step) - 0.3 + 0.12 * patch) / 0.6, 0, 1)  # cards lie before its edge
     tint = np.minimum(0.5 * look.hair_color + 0.002 * look.skin, 0.15 * look.hair_color + 0.55 * look.skin)
     colors = _mix(colors, tint, hair)
@@ -177,7 +192,12 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     skin = _enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
-    blood = 0.03 * skin * _enlarged(patches, size)
+    blood = 0.03 * (1 + look.worn) * skin * _enlarged(patches, size)
+    if look.worn and not small:
+        lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), 2.2)
+        veins = np.exp(-((lines / (0.15 * lines.std())) ** 2)) * np.clip(_noise(look, tile, 0.9, 6), 0, 1.5)
+        zone = np.clip(m["cheeks"] + 0.8 * m["nose"] + 0.3 * m["chin"], 0, 1)
+        blood += _enlarged((0.35 * look.worn) * zone * veins, size)
     spots, fine = np.zeros_like(grain), (1024, 1024)
     if not small:
         # melanin of freckles, moles and the spots of age
@@ -185,13 +205,16 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
         zone = _enlarged(np.clip(zone, 0, 1), fine[0])
         bare = _enlarged((1 - m["lips"]) * (1 - m["scalp"]) * (1 - m["socket"]) * (1 - m["mouth"]), fine[0])
         spots = np.zeros(fine, np.float32)
-        kinds = (  # share of texels, radius in texels, strength
+        kinds: tuple[tuple[FloatArray, float, float], ...] = (  # share of texels, radius in texels, strength
             (0.004 * look.freckles * zone, 1.7, 0.55),
             (0.0008 * look.freckles * zone, 3.0, 0.5),
             (0.000006 * bare, 1.7, 1.8),
-            (0.00007 * max(look.age - 0.4, 0) * bare, 4.0, 0.45),
+            (0.00016 * look.worn**2 * bare, 2.5, 0.6),
+            (0.00006 * look.worn**2 * bare, 5.5, 0.5),
         )
         for density, radius, strength in kinds:
+            if not density.any():
+                continue
             dots = (rng.random(fine, np.float32) < density) * rng.uniform(0.3, 1.0, fine).astype(np.float32)
             if dots.any():
                 spots += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
@@ -214,7 +237,7 @@ def roughness(look: Look, tile: int, size: int) -> FloatArray:
     m = masks(tile)
     oily = 0.5 * m["forehead"] + 0.8 * m["nose"] + 0.3 * m["cheeks"] + 0.5 * m["chin"] + 0.4 * m["bridge"]
     rough = 0.56 - 0.13 * np.clip(oily, 0, 1) - 0.14 * m["lips"] - 0.05 * m["lid"] + 0.06 * m["neck"]
-    rough += 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
+    rough += 0.08 * look.worn + 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
     wet = np.maximum.reduce([m["mouth"], m["socket"], m["rim"]])
     rough = np.clip(rough + (0.22 - rough) * wet, 0.1, 1)
     return np.asarray(_enlarged(to_bytes(np.stack([m["open"] ** 0.7, rough, np.zeros_like(rough)], axis=-1)), size))
@@ -231,11 +254,18 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
     pores = _enlarged(pores, size)
     dots = (rng.random((size, size), np.float32) < 0.012 / scale**2).astype(np.float32)
-    height = -0.013 * pores * gaussian_filter(dots, 1.4 * scale) * 4
+    height = -0.013 * (1 + 0.6 * look.worn - 0.5 * look.feminine) * pores * gaussian_filter(dots, 1.4 * scale) * 4
     grain = rng.standard_normal((size, size), np.float32)
     fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
-    height += 0.0016 * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
+    height += 0.0016 * (1 + 1.5 * look.worn) * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
     height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
+    if look.worn and TILES[tile] == "face":
+        height += _sagging(look, size)
+        crossed = np.zeros((512, 512), np.float32)
+        for widths in ((5.0, 1.5), (1.5, 6.0)):
+            lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), widths)
+            crossed -= np.exp(-((lines / (0.35 * lines.std())) ** 2))
+        height += _enlarged((0.007 * look.worn) * skin * crossed, size)
     slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
     up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     normals = np.empty((size, size, 3), np.uint8)

@@ -20,7 +20,7 @@ from facepipe.core.threads import mapped
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import skin
 from facepipe.heads.asset import STEP, arrays_of
-from facepipe.heads.people import BEARDS, IRIS, STYLES, Look
+from facepipe.heads.people import BEARDS, BROWS, IRIS, STYLES, Look
 from facepipe.heads.skin import jpeg
 from facepipe.parts import (
     Blendshape,
@@ -76,8 +76,9 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
         "Beard": (look.whiskers, None),
     }
     hair, picture = look.hair_color, STYLES[look.style][1]
-    brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
-    found = [_hair("Brows", brows, brow_color(hair, look.skin)), _hair("Lashes", "lashes.png", _LASHES)]
+    pictures = BROWS[look.brow_shape]
+    brows = pictures[int(np.clip(len(pictures) * look.brows, 0, len(pictures) - 1))]
+    found = [_hair("Brows", brows, brow_color(hair, look.skin, look.worn)), _hair("Lashes", "lashes.png", _LASHES)]
     if picture:
         found.append(replace(_hair("Hair", picture, hair), opacity_threshold=CUT))
     if BEARDS[look.whiskers]:
@@ -148,9 +149,12 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
     return materials
 
 
-def brow_color(hair: FloatArray, skin: FloatArray) -> FloatArray:
-    """(3,) linear colour of brows that go with hair: darker than the skin."""
-    dark = min(1.0, 0.12 / float(hair.max()), 0.6 * float(skin.mean() / hair.mean()))
+def brow_color(hair: FloatArray, skin: FloatArray, worn: float = 0.0) -> FloatArray:
+    """(3,) linear colour of brows that go with hair: darker than the skin.
+
+    :param worn: 0..1, with which light hair's brows are as light as it is
+    """
+    dark = min(1.0, (0.12 + 0.1 * worn) / float(hair.max()), (0.6 + 0.2 * worn) * float(skin.mean() / hair.mean()))
     return np.asarray(0.8 * dark * hair + 0.05 * skin)
 
 

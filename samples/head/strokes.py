@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from brows_lashes import LASH_BANDS
 from PIL import Image
+from scipy.interpolate import PchipInterpolator
 
 Array = Any
 FINE = 2  # samples a texel and direction
@@ -65,13 +66,34 @@ class Canvas:
         Image.fromarray(17 * steps, "LA").save(path, compress_level=9)
 
 
-def brows(fullness: float) -> Canvas:
+@dataclass(frozen=True)
+class Brow:
+    """How a brow is shaped: along it, from the nose outwards, at 0, 0.3, 0.62, 0.85 and 1."""
+
+    fullness: float  # 0..1
+    rise: tuple[float, ...] = (0, 0, 0, 0, 0)  # texels above its usual line
+    height: tuple[float, ...] = (1, 1, 1, 1, 1)  # times its usual height
+
+
+BROWS = {
+    "brows0": Brow(0.15),
+    "brows1": Brow(0.5),
+    "brows2": Brow(0.9),
+    "brows_arched": Brow(0.35, (-16, 0, 26, 14, -14), (0.75, 0.7, 0.55, 0.5, 0.6)),
+    "brows_straight": Brow(0.95, (14, -6, -16, 0, 14), (1.1, 1.1, 1.15, 1.2, 1.2)),
+}
+
+
+def brows(brow: Brow) -> Canvas:
     """A left brow: u from the nose outwards, v up; it fills the middle two thirds of the height."""
-    rng, canvas = np.random.default_rng(11), Canvas(224, 896)
+    rng, canvas, fullness = np.random.default_rng(11), Canvas(224, 896), brow.fullness
+    places = (0, 0.3, 0.62, 0.85, 1)
+    rise, height = PchipInterpolator(places, brow.rise), PchipInterpolator(places, brow.height)
     count = int(240 + 420 * fullness)
     for t, s in zip(rng.beta(1.15, 1.35, count), rng.uniform(-1, 1, count), strict=True):
         half = 62 * np.interp(t, [0, 0.1, 0.45, 0.8, 1.0], [0.75, 1.0, 0.95, 0.62, 0.25]) * (0.72 + 0.28 * fullness)
-        x, y = 40 + 790 * t, 118 - s * half * (0.85 if t > 0.1 else 1.0)
+        half *= float(height(t))
+        x, y = 40 + 790 * t, 118 - float(rise(t)) - s * half * (0.85 if t > 0.1 else 1.0)
         angle = np.interp(t, [0, 0.12, 0.35, 0.7, 1], [1.45, 1.0, 0.52, 0.2, -0.12]) - 0.42 * max(s, -0.4) * min(
             4 * t, 1
         )
@@ -104,8 +126,8 @@ def lashes() -> Canvas:
 
 def main(folder: Path) -> None:
     """Draw and save."""
-    for number, fullness in enumerate((0.15, 0.5, 0.9)):
-        brows(fullness).save(folder / f"brows{number}.png")
+    for name, brow in BROWS.items():
+        brows(brow).save(folder / f"{name}.png")
     lashes().save(folder / "lashes.png")
 
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from facepipe.core.errors import InputError
 from facepipe.heads import skin
 from facepipe.heads.assembly import make_head
-from facepipe.heads.people import BEARDS, IRIS, STYLES, Look
+from facepipe.heads.people import BEARDS, BROWS, IRIS, STYLES, Look
 from facepipe.heads.surfaces import Cards, card_mesh, card_triangles, cards, dressed
 from facepipe.parts import FaceParts, TextureInput
 
@@ -79,6 +79,61 @@ def test_skin_darkens_with_the_tone_and_lips_are_redder_than_cheeks() -> None:
             color[lips][:, 0].mean() / color[lips][:, 1].mean()
             > color[cheeks][:, 0].mean() / color[cheeks][:, 1].mean()
         )
+
+
+def _spread(values: np.ndarray, where: np.ndarray) -> float:
+    return float(values[where].std())
+
+
+def test_old_skin_is_folded_uneven_rough_and_its_lips_pale() -> None:
+    """Each sign is stronger at 80 than at 50, and there is none of it at 20."""
+    ages, zones = (0.03, 0.52, 1.0), skin.masks(0)
+    face = (zones["cheeks"] > 0.3) | (zones["forehead"] > 0.3)
+    lips, signs = zones["lips"] > 0.9, []
+    for age in ages:
+        look = Look(seed=3, age=age, style="bald")
+        coarse, slopes = skin.coarse(look, 0), skin.relief(look, 0, 512)[..., :2].astype(float)
+        redness = np.median(coarse[lips][:, 0] / coarse[lips][:, 1])
+        rough = skin.roughness(look, 0, 512)[..., 1].astype(float)[face].mean()
+        signs.append((_spread(np.log(coarse[..., 1]), face), _spread(slopes, face), rough, -redness))
+    assert (np.diff(signs, axis=0) > 0).all(), signs
+
+
+def test_no_two_people_age_alike() -> None:
+    folds = [skin.relief(Look(seed=seed, age=1.0), 0, 128).astype(float) for seed in (1, 2)]
+    plain = [skin.relief(Look(seed=seed, age=0.0), 0, 128).astype(float) for seed in (1, 2)]
+    apart = (folds[0] - plain[0]) - (folds[1] - plain[1])
+    assert np.abs(apart[..., :2]).max() > 10
+
+
+def test_womens_lips_are_redder_and_their_skin_smoother() -> None:
+    lips, face = skin.masks(0)["lips"] > 0.9, skin.masks(0)["cheeks"] > 0.5
+    found = []
+    for feminine in (0.0, 1.0):
+        look = Look(feminine=feminine)
+        coarse = skin.coarse(look, 0)
+        found.append(
+            (
+                np.median(coarse[lips][:, 0] / coarse[lips][:, 1]),
+                -_spread(skin.relief(look, 0, 1024)[::2, ::2, 0], face),
+            )
+        )
+    assert (np.array(found[1]) > np.array(found[0])).all()
+
+
+def test_brows_of_each_shape_are_where_their_name_says() -> None:
+    """Beyond the middle an arched one is higher than a soft one, and a straight one lower; arched ones are thin."""
+
+    def line(name: str) -> tuple[np.ndarray, float]:
+        image = Image.open(io.BytesIO((files("facepipe.heads") / "data" / name).read_bytes()))
+        alpha = np.asarray(image)[..., 1] / 255
+        height = np.arange(len(alpha))[::-1, None] * np.ones_like(alpha)
+        pieces = [slice(*ends) for ends in ((100, 250), (450, 750), (850, 950))]
+        return np.array([np.average(height[:, one], weights=alpha[:, one]) for one in pieces]), alpha.mean()
+
+    soft, arched, straight = (line(BROWS[shape][-1]) for shape in ("soft", "arched", "straight"))
+    assert arched[0][1] - soft[0][1] > 10 > -10 > straight[0][1] - soft[0][1]
+    assert arched[1] < 0.6 * straight[1]
 
 
 @pytest.mark.parametrize("drawn", [skin.albedo, skin.roughness, skin.relief])

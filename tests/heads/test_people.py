@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import REPOSITORY
 
-from facepipe.heads.people import HAIR, MODES, STYLES, Person, draw
+from facepipe.heads.people import BROWS, HAIR, MODES, STYLES, Person, draw
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +24,49 @@ def test_a_seed_draws_the_same_person_again(people: list[Person]) -> None:
     assert again.look == people[4].look
 
 
+def test_a_person_is_the_same_at_every_age_but_for_what_is_typical_of_age() -> None:
+    """The neutral moves along one direction, as far as the years are apart, and colours that one is born with stay."""
+    young, middle, old = (draw(5, years=years) for years in (20.0, 50.0, 80.0))
+    np.testing.assert_allclose(old.identity - middle.identity, middle.identity - young.identity, atol=1e-12)
+    assert np.linalg.norm(old.identity - young.identity) > 1
+    assert young.look.worn == 0 < middle.look.worn < old.look.worn
+    for name in ("tone", "eyes", "redness", "brow_shape"):
+        assert getattr(young.look, name) == getattr(old.look, name)
+
+
+def test_as_many_grey_as_years_pass_where_an_age_is_asked_for() -> None:
+    """Nobody colours the hair then: none of the young, nearly all of the old."""
+    shares = [
+        np.mean([_is_grey(draw(seed, years=years)) for seed in range(1, 101)]) for years in (25.0, 45.0, 60.0, 78.0)
+    ]
+    assert shares[0] == 0
+    assert shares[0] < shares[1] < shares[2] < shares[3]
+    assert shares[3] > 0.95
+    single = [np.mean([draw(seed, years=years).look.grey for seed in range(1, 101)]) for years in (25.0, 45.0)]
+    assert single[0] == 0 < single[1]
+
+
+def test_sex_is_as_asked_for() -> None:
+    """What is along the direction of sex follows `feminine`; all else of the shape stays."""
+    woman, none, man = (draw(7, feminine=value) for value in (1.0, 0.5, 0.0))
+    np.testing.assert_allclose(man.identity - none.identity, none.identity - woman.identity, atol=1e-12)
+    assert woman.sex == -man.sex < 0
+    assert woman.look.beard == 0 < man.look.beard
+    women, men = ([draw(seed, feminine=value).look for seed in range(1, 101)] for value in (1.0, 0.0))
+    assert np.mean([look.brows for look in women]) < np.mean([look.brows for look in men])
+    assert np.mean([look.brow_shape == "arched" for look in women]) > 0.3
+    assert {look.whiskers for look in women} == {"stubble"}
+
+
+def test_hairlines_recede_with_the_years() -> None:
+    receding = [
+        sum(draw(seed, years=years, feminine=0.0).look.style == "receding" for seed in range(1, 201))
+        for years in (20, 50, 80)
+    ]
+    assert receding[0] < receding[1] < receding[2]
+    assert not any(draw(seed, years=80, feminine=1.0).look.style == "receding" for seed in range(1, 101))
+
+
 def test_shapes_have_the_statistics_of_the_modes(people: list[Person]) -> None:
     weights = np.stack([person.identity for person in people])
     assert weights.shape == (800, MODES)
@@ -39,7 +82,7 @@ def test_tones_sexes_and_ages_are_all_there(people: list[Person]) -> None:
     assert np.ptp([person.years for person in people]) > 55
     pictures = REPOSITORY / "facepipe" / "heads" / "data"
     eyes = {path.stem.removeprefix("iris_") for path in pictures.glob("iris_*.jpg")}
-    for own, names in (("hair", HAIR), ("eyes", eyes), ("style", STYLES)):
+    for own, names in (("hair", HAIR), ("eyes", eyes), ("style", STYLES), ("brow_shape", BROWS)):
         assert {getattr(person.look, own) for person in people} == set(names)
 
 

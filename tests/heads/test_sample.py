@@ -144,6 +144,21 @@ def test_its_licences_are_named_and_there() -> None:
     assert "CC0" in (folder / "LICENSE.MakeHuman.md").read_text()
 
 
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [({"age": 17.0}, "age: is 17, expected 18 to 80"), ({"feminine": 1.5}, "feminine: is 1.5, expected 0 to 1")],
+)
+def test_an_age_or_a_sex_out_of_range_is_refused(given: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make(1, **given)
+
+
+def test_the_recipe_holds_the_age_and_the_sex_that_were_asked_for() -> None:
+    recipe = make(3, age=70.0, feminine=1.0).recipe
+    assert recipe is not None
+    assert recipe.options == {"seed": 3, "textures": 0, "controls": "measures", "age": 70.0, "feminine": 1.0}
+
+
 def test_a_seed_below_zero_is_refused() -> None:
     with pytest.raises(InputError, match="seed: is -1, expected 0 or more"):
         make(-1)
