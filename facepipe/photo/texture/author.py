@@ -63,7 +63,7 @@ _WHITES = 0.5, 0.9  # quantiles of brightness between which whites of eyes are
 _EYES = 24  # pixels between the eyes, at which hair is compared
 _SCALP = 0.5
 _HAIR_TEXELS = 32  # a side, of which each covers some strands and the gaps between them
-_SHAVED = 0.8  # of the scalp's pixels, that show face where nothing of hair is
+_SHAVED, _UNCOVERED = 0.8, 0.6  # that show face where nothing of hair is: of the scalp's pixels of either, and of all
 _LEAST = 0.2  # of all pixels of hair, that the nearest style shares with photos
 _BROWS = slice(17, 27)  # landmarks
 _LOWER = 0.08  # of the way from the chin to the root of the nose
@@ -221,7 +221,8 @@ def nearest_style(
         return float(sum(kind(*pair).sum() for pair in zip(one, other, strict=True)))
 
     shaved = drawn("stubble")
-    if total(np.minimum, face, shaved) > _SHAVED * sum(map(np.sum, shaved)):
+    bare, haired = (total(np.minimum, kind, shaved) for kind in (face, hair))
+    if bare > max(_SHAVED * (bare + haired), _UNCOVERED * sum(map(np.sum, shaved))):
         return "bald"
     alike = {now: _LEAST}
     for style, (painted, picture) in STYLES.items():
