@@ -80,9 +80,25 @@ def demo(folder: Path) -> Image.Image:
 
 @of_docs
 def people(folder: Path) -> Image.Image:
-    """Twelve people of `facepipe sample`."""
+    """Twenty-four people of `facepipe sample`."""
     views: tuple[View, ...] = ("front", "three-quarter")
-    drawn = [(f"seed {n}", picture(make(n, textures=1024), None, options(300, views[n % 2]))) for n in range(1, 13)]
+    faces = {seed: make(seed, textures=1024) for seed in range(1, 25)}
+    drawn = [
+        (f"seed {seed}", picture(parts, None, close(Face.from_parts(parts), 230, views[seed % 2])))
+        for seed, parts in faces.items()
+    ]
+    return contact_sheet(drawn, columns=8)
+
+
+@of_docs
+def years(folder: Path) -> Image.Image:
+    """A woman and a man at three ages."""
+    drawn = []
+    for seed, feminine in ((9, 1.0), (8, 0.0)):
+        for age in (25.0, 45.0, 70.0):
+            parts = make(seed, textures=2048, age=age, feminine=feminine)
+            caption = f"--seed {seed} --age {age:g} --feminine {feminine:g}"
+            drawn.append((caption, picture(parts, None, close(Face.from_parts(parts), 360))))
     return contact_sheet(drawn, columns=6)
 
 

@@ -4,7 +4,7 @@ Eyes: round eyeballs where the lids want them, and lids that slide over them and
 cut the eyeball of one person and leave that of another open. Rings of points go around each eye: 0 behind the margin, 1
 to 4 the margin, then out over the lid (`samples/head/lids.py`).
 
-Mouth: its inside is kept behind the skin.
+Mouth: its inside is kept behind the skin, and teeth draw back where lips lie otherwise before them than usual.
 """
 
 from __future__ import annotations
@@ -42,6 +42,9 @@ _SKIN, _MOUTH = 9409, slice(11248, 13294)  # points of the face before these; po
 _LIPS = 0.15  # cm; what lies less deep belongs to the lips
 _DEPTH_KEPT = 0.5  # of its depth in the average head that a point keeps
 _SKIN_POINTS = 8  # points of the skin that it is kept behind
+_UPPER_LIP, _LOWER_LIP = (61, 62, 63), (65, 66, 67)  # inner landmarks
+_INCISORS = 1.6, 0.6  # cm to each side of the middle, and behind the foremost of their row
+_DRAWN_BACK = 0.15  # cm at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +197,36 @@ def fit_mouth(points: FloatArray) -> FloatArray:
     rows = np.arange(len(inside))
     fitted = points.copy()
     fitted[inside] -= missing[rows, most, None] * normals[rows, most]
+    for name in ("Teeth", "GumsAndTongue"):
+        fitted[asset().parts[name].points, 2] -= _drawn_back(points)
     return fitted
+
+
+def _drawn_back(points: FloatArray) -> float:
+    """How far in cm teeth and gums go back: a lip that rolls in passes before teeth in the way of the average head.
+
+    Shapes are the same for all: where lips lie nearer or farther before the teeth than usual, teeth came up to 1 mm
+    through the rolled lip of 3 in 30 people.
+    """
+    lips, rows, usual = _lips_and_incisors()
+    apart = [points[lip, 2].mean() - points[row, 2].mean() for lip in lips for row in rows]
+    return min(float(np.abs(np.array(apart) - usual).max()), _DRAWN_BACK)
+
+
+@cache
+def _lips_and_incisors() -> tuple[tuple[IntArray, ...], tuple[IntArray, ...], FloatArray]:
+    """Points of both lips and of upper and lower incisors, and how far each lip is before each of these on average."""
+    head = asset()
+    lips = tuple(head.landmarks[list(one)] for one in (_UPPER_LIP, _LOWER_LIP))
+    teeth = np.arange(head.parts["Teeth"].points.start, head.parts["Teeth"].points.stop)
+    teeth = teeth[np.abs(head.points[teeth, 0]) < _INCISORS[0]]
+    lower = np.linalg.norm(head.shapes["jawOpen"][1.0][teeth], axis=1) > _LIPS
+    rows = []
+    for own in (teeth[~lower], teeth[lower]):
+        depth = head.points[own, 2]
+        rows.append(own[depth > depth.max() - _INCISORS[1]])
+    usual = [head.points[lip, 2].mean() - head.points[row, 2].mean() for lip in lips for row in rows]
+    return lips, tuple(rows), np.array(usual)
 
 
 @cache

@@ -1,9 +1,10 @@
 """Who a seed draws: the shape of a head, its sex and age, and the colours that go with one another.
 
-Shapes follow the statistics of ICT-FaceKit's identity modes: independent normal weights, of which the one along the
-typical difference between the sexes is drawn with the sex. Age is added. Skin tones are even on Monk's scale of ten
-(Ellis Monk, "The Monk Skin Tone Scale", 2019, skintone.google). How often a colour of hair or eyes comes with a tone is
-made up to be plausible: no survey is in it.
+Shapes go beyond the statistics of ICT-FaceKit's identity modes, whose scans are few: independent normal weights, wider
+than theirs, of which the one along the typical difference between the sexes is drawn with the sex. Age is added, and
+what takes a measure of the face beyond what is human is taken back. Skin tones are even on Monk's scale of ten (Ellis
+Monk, "The Monk Skin Tone Scale", 2019, skintone.google). How often a colour of hair or eyes comes with a tone is made
+up to be plausible: no survey is in it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from facepipe.parts import Color
 # Albedo of Monk's ten tones under even light, sRGB 0..255: the swatches show lit skin, which is lighter.
 _TONES = (
     (229, 188, 170), (225, 181, 160), (219, 174, 147), (209, 161, 131), (193, 143, 111),
-    (165, 116, 83), (137, 92, 66), (107, 71, 52), (86, 58, 45), (67, 47, 38),
+    (165, 116, 83), (137, 92, 66), (109, 70, 48), (88, 54, 36), (70, 42, 28),
 )  # fmt: skip
 
 IRIS: dict[str, Color] = {  # linear, of its middle ring
@@ -112,11 +113,19 @@ class Look:
 
 MODES = 100
 TONES = 10  # of Monk's scale
-_FARTHEST = 2.5  # standard deviations of a mode's weight
+_FARTHEST = 2.5  # standard deviations of a drawn weight
+_WIDTHS = (1.3, 1.7)  # of weights, in standard deviations of the first mode, and of the last, which holds details
+_MOST = 2.8  # standard deviations of a measure
+_BACK = 2.75  # to which one beyond is taken
 YOUNGEST, OLDEST = 18.0, 80.0  # years
 _FEWER_OLD = 1.6  # the exponent of an even draw between the two
 _TYPICAL = 1.2  # the sex of whom `feminine` is at an end
+_APART = 1.7  # standard deviations along the difference of the sexes for 1 of it; half the sculpts' difference is 2.1
+_AGED = (
+    1.4  # of half the sculpts' difference, that the youngest and the oldest are from the middle: they show 71 % of it
+)
 _STEP = 1 / 2048  # of packed weights
+_EFFECT = 1 / 16384  # of a measure's standard deviation: step of what modes do to it
 
 _LIGHT, _MIDDLE, _DARK = 2.5, 5.0, 7.0  # tones between which the shares below are mixed
 _HAIR = {  # share at those tones
@@ -185,7 +194,7 @@ def draw(seed: int, *, years: float | None = None, feminine: float | None = None
     male = bool(random.random() < 0.5)
     sex = float((1.0 if male else -1.0) * np.clip(random.normal(0.9, 0.35), 0.0, 1.6))
     drawn = float(YOUNGEST + (OLDEST - YOUNGEST) * random.random() ** _FEWER_OLD)
-    weights = np.clip(random.standard_normal(MODES), -_FARTHEST, _FARTHEST)
+    weights = np.linspace(*_WIDTHS, MODES) * np.clip(random.standard_normal(MODES), -_FARTHEST, _FARTHEST)
     average = seed == 0 and years is None
     if seed == 0:
         sex, drawn, weights = 0.0, Person.years, np.zeros(MODES)
@@ -195,9 +204,22 @@ def draw(seed: int, *, years: float | None = None, feminine: float | None = None
     across = by_sex / np.linalg.norm(by_sex)
     lived = drawn if years is None else years
     age = (lived - YOUNGEST) / (OLDEST - YOUNGEST)
-    identity = weights + (sex - weights @ across) * across + (0.0 if average else 2.0 * age - 1.0) * old
+    identity = weights + (_APART * sex - weights @ across) * across
+    identity += (0.0 if average else _AGED * (2.0 * age - 1.0)) * old
     look = Look() if average and feminine is None else _look(random, seed, sex, lived, dyed=years is None)
-    return Person(identity=np.asarray(identity), sex=sex, years=lived, look=look)
+    return Person(identity=_within(identity), sex=sex, years=lived, look=look)
+
+
+def _within(identity: FloatArray) -> FloatArray:
+    """(MODES,) weights changed as little as need be so that no measure is beyond `_MOST`.
+
+    Kaczmarz's projections, the farthest measure first: each row of effects is a unit vector.
+    """
+    effects = arrays("measures")["effects"] * _EFFECT
+    while abs(values := effects @ identity).max() > _MOST:
+        farthest = int(np.abs(values).argmax())
+        identity = identity - (values[farthest] - np.sign(values[farthest]) * _BACK) * effects[farthest]
+    return np.asarray(identity)
 
 
 def _look(random: np.random.Generator, seed: int, sex: float, years: float, *, dyed: bool) -> Look:

@@ -129,12 +129,13 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
     broad, middle, patch = (_noise(look, tile, size, i, step) for i, size in enumerate((3.2, 1.1, 0.55)))
     light = 1 - 0.6 * look.darkness
     warm = 0.75 * m["cheeks"] + 0.75 * m["nose"] + 0.7 * m["ears"] + 0.3 * m["chin"] - 0.2 * m["forehead"]
-    blood = (0.25 + 0.75 * look.redness) * warm + (0.05 * middle + 0.045 * patch + 0.03 * broad) * (1 + 1.2 * look.worn)
+    uneven = look.worn**2 * (1 - 0.7 * np.maximum(m["neck"], m["scalp"]))
+    blood = (0.25 + 0.75 * look.redness) * warm + (0.05 * middle + 0.045 * patch + 0.03 * broad) * (1 + uneven)
     blood *= 1.15 - 0.3 * look.feminine
     blood = light * blood + 0.32 * m["lid"] + 0.35 * m["rim"] + 0.2 * m["under_eye"]
     red = (0.3 + 0.8 * look.lips + 0.5 * look.feminine) * (1 - 0.5 * look.worn)
     blood += red * m["lips"] * (1 - 0.35 * look.darkness) * (1 + 0.05 * patch)
-    melanin = (0.025 * broad + 0.02 * middle) * (1 + 2.5 * look.worn) + (0.16 + 0.2 * look.worn) * m["under_eye"]
+    melanin = (0.025 * broad + 0.02 * middle) * (1 + 2 * uneven) + (0.16 + 0.2 * look.worn) * m["under_eye"]
     melanin += 0.10 * m["lid"] + (0.10 + 0.25 * look.darkness) * m["lips"] - 0.04 * m["neck"]
     shade = 0.9 * m["lip_line"] * m["lips"] + 0.9 * np.clip(1 - m["open"] / 0.55, 0, 1) * (1 - m["mouth"])
     shade += _LINED * max(look.feminine - 0.5, 0) * m["rim"]
@@ -237,7 +238,7 @@ def roughness(look: Look, tile: int, size: int) -> FloatArray:
     m = masks(tile)
     oily = 0.5 * m["forehead"] + 0.8 * m["nose"] + 0.3 * m["cheeks"] + 0.5 * m["chin"] + 0.4 * m["bridge"]
     rough = 0.56 - 0.13 * np.clip(oily, 0, 1) - 0.14 * m["lips"] - 0.05 * m["lid"] + 0.06 * m["neck"]
-    rough += 0.08 * look.worn + 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
+    rough += 0.08 * look.worn**2 + 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
     wet = np.maximum.reduce([m["mouth"], m["socket"], m["rim"]])
     rough = np.clip(rough + (0.22 - rough) * wet, 0.1, 1)
     return np.asarray(_enlarged(to_bytes(np.stack([m["open"] ** 0.7, rough, np.zeros_like(rough)], axis=-1)), size))
@@ -257,7 +258,7 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     height = -0.013 * (1 + 0.6 * look.worn - 0.5 * look.feminine) * pores * gaussian_filter(dots, 1.4 * scale) * 4
     grain = rng.standard_normal((size, size), np.float32)
     fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
-    height += 0.0016 * (1 + 1.5 * look.worn) * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
+    height += 0.0016 * (1 + 1.5 * look.worn**2) * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
     height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
     if look.worn and TILES[tile] == "face":
         height += _sagging(look, size)
@@ -265,7 +266,7 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
         for widths in ((5.0, 1.5), (1.5, 6.0)):
             lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), widths)
             crossed -= np.exp(-((lines / (0.35 * lines.std())) ** 2))
-        height += _enlarged((0.007 * look.worn) * skin * crossed, size)
+        height += _enlarged((0.007 * look.worn**2) * skin * (1 - m["scalp"]) * crossed, size)
     slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
     up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     normals = np.empty((size, size, 3), np.uint8)

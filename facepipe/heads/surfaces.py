@@ -42,6 +42,7 @@ _YOUNG = 0.75  # how strong the youngest wrinkle
 _STEP = 4  # texels from one point of the head to the next
 _GREY = 0.35  # linear, the mean of the pictures of hairs
 _LASHES = np.array([0.012, 0.009, 0.008])
+_LIFTS = 3
 _STILL = 2e-3  # cm: smaller moves are none
 CUT = 0.35  # opacity: at half, thin locks would be gone in the coarse levels of their picture that engines show
 _FAR = 0.3  # cm: cards that turn further beside what holds them may dip into other skin
@@ -313,8 +314,13 @@ def _shape(held: Cards, shape: Blendshape, skin: FloatArray, triangles: IntArray
         moved = held.carry(whole) + weight * motion
         if np.abs(motion).max() < _FAR:
             return moved
-        lift = _lift(held, held.carry(skin) + held.offsets + moved, skin + whole, triangles)
-        return moved + np.where(np.abs(moved).max(axis=1, keepdims=True) > _STILL, lift, 0.0)
+        moving = np.abs(moved).max(axis=1, keepdims=True) > _STILL
+        for _ in range(_LIFTS):  # what is lifted may lie over other skin than before
+            lift = _lift(held, held.carry(skin) + held.offsets + moved, skin + whole, triangles)
+            if np.abs(lift[moving[:, 0]]).max(initial=0.0) < _STILL:
+                break
+            moved = moved + np.where(moving, lift, 0.0)
+        return moved
 
     moves = {inbetween.weight: offsets(inbetween.offsets, inbetween.weight) for inbetween in shape.inbetweens}
     full = offsets(shape.offsets, 1.0)

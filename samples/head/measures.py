@@ -26,6 +26,7 @@ NORM, AWAY, MOTION, BENDING = 0.1, 10.0, 1.0, 1.0  # what a direction costs
 LEAK = 0.06  # standard deviations that others may follow, where it makes a direction cheaper
 SOFT = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 0.0)  # of their constraints
 STEP = 1 / 2048  # of weights
+EFFECT = 1 / 16384  # standard deviations of a measure: step of what modes do to it
 LEAST_AREA = 2e-3  # cm^2 of a point, so that slivers do not rule the bending
 
 Floats = npt.NDArray[np.float64]
@@ -63,7 +64,7 @@ def build(
     faces: tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]],
     landmarks: npt.NDArray[np.int32],
 ) -> Arrays:
-    """Names, groups and standard deviations of the measures, and the weights of their directions.
+    """Names, groups and deviations of the measures, what each mode does to them, and the weights of their directions.
 
     :param points: (n, 3) of the average head, in cm
     :param modes: (100, n, 3) as they are packed
@@ -72,7 +73,8 @@ def build(
     places = spots(points, landmarks)
     measured = functionals(places)
     own_modes = modes[:, :SKIN].astype(np.float64)
-    deviations = np.sqrt((np.einsum("dnc,mnc->dm", measured, own_modes, optimize=True) ** 2).sum(axis=1))
+    effects = np.einsum("dnc,mnc->dm", measured, own_modes, optimize=True)
+    deviations = np.sqrt((effects**2).sum(axis=1))
     parity = np.sign(_mirror_products(points, own_modes))
     basis = Basis(points, own_modes, parity, masks(points, parts), faces)
     weights = basis.directions(measured, deviations, _distances(points, places))
@@ -81,6 +83,7 @@ def build(
         "groups": np.array([measure.group for measure in MEASURES.values()]),
         "sided": np.array([measure.sided for measure in MEASURES.values()]),
         "deviations": np.round(deviations, 4).astype(np.float32),
+        "effects": np.rint(effects / deviations[:, None] / EFFECT).astype(np.int16),
         "costs": np.round(np.sqrt((weights**2).sum(axis=(1, 2))), 3),
         "parity": parity.astype(np.int8),
         "weights": np.rint(weights / STEP).astype(np.int16),

@@ -9,6 +9,7 @@ import pytest
 from contacts import BLINKS, PARTLY, blink, eye_sheets, person
 from scipy.spatial import cKDTree
 
+from facepipe.geometry.balls import RadialSurface, fit_ball
 from facepipe.geometry.contacts import Sheet
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import make
@@ -75,6 +76,20 @@ def test_eyeballs_are_the_average_ones_moved_and_scaled_alike(seed: int) -> None
     spans = [np.ptp(points[ball], axis=0) / np.ptp(asset().points[ball], axis=0) for ball in balls]
     np.testing.assert_allclose(spans, spans[0][0], rtol=1e-6)
     assert 0.8 < spans[0][0] < 1.25
+
+
+@pytest.mark.parametrize("feminine", [0.0, 1.0])
+def test_no_lid_lies_in_its_eyeball_at_rest(feminine: float) -> None:
+    """Skin from the lids' margins on, of drawn people; what lies behind the margins nobody sees."""
+    lids, rings = arrays("lids")["lids"], arrays("lids")["lid_rings"]
+    for seed in range(1, 21):
+        head = asset()
+        weights = draw(seed, years=75.0, feminine=feminine).identity.astype(np.float32)
+        points, _ = fit_eyes(head.points + np.tensordot(weights, head.modes, axes=1), head.shapes)
+        for own, side in zip(lids, ("Left", "Right"), strict=True):
+            ball = points[head.parts[f"Eyeball{side}"].points]
+            depths = RadialSurface(ball, fit_ball(ball).centre).depths(points[own[rings > 0]])
+            assert MM * depths.max() < 0.05, seed
 
 
 def test_nothing_but_eyes_changes() -> None:

@@ -18,7 +18,7 @@ from facepipe.rig import build
 
 pytestmark = pytest.mark.needs_torch
 
-SIZE, LONG_HAIR = 320, 4  # pixels, and a seed
+SIZE, LONG_HAIR = 320, 41  # pixels, and a seed
 LAMP = Light(direction=(0.5, 0.4, 0.75), color=(0.7, 0.68, 0.6))
 STUDIO = Studio(lights=(LAMP,), sky=(0.5, 0.5, 0.55), ground=(0.25, 0.25, 0.22), compress=False)
 
