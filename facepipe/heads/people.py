@@ -121,9 +121,7 @@ YOUNGEST, OLDEST = 18.0, 80.0  # years
 _FEWER_OLD = 1.6  # the exponent of an even draw between the two
 _TYPICAL = 1.2  # the sex of whom `feminine` is at an end
 _APART = 1.7  # standard deviations along the difference of the sexes for 1 of it; half the sculpts' difference is 2.1
-_AGED = (
-    1.4  # of half the sculpts' difference, that the youngest and the oldest are from the middle: they show 71 % of it
-)
+_AGED = 1.4  # of half the sculpts' difference, that the youngest and the oldest are apart from the middle
 _STEP = 1 / 2048  # of packed weights
 _EFFECT = 1 / 16384  # of a measure's standard deviation: step of what modes do to it
 
