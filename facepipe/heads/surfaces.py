@@ -130,20 +130,26 @@ def _wrinkles(look: Look) -> Wrinkles:
 
 def _loose(look: Look, *, textured: bool) -> list[Material]:
     """Mouth and eyes, whose pictures come with the package."""
-    dim = 1 - 0.35 * look.darkness  # the white of dark people's eyes has some pigment
-    iris, white = f"iris_{look.eyes}.jpg", (0.5 * dim, 0.46 * dim, 0.42 * dim)
-    rows: list[tuple[str, str, Color, float, float]] = [  # material, picture, colour without it, roughness, dimmed to
-        ("M_GumsTongue", "gums.jpg", (0.52, 0.20, 0.18), 0.3, 1.0),
-        ("M_Teeth", "teeth.jpg", (0.74, 0.68, 0.56), 0.22, 1.0),
+    # Light that skin sends back lights eyes too: as bright beside dark skin as beside light skin, they glow. The white
+    # of dark people's eyes has some pigment, which takes blue first; with 0.8 of the blue for the red they look ill.
+    red, green, blue = (1 - share * look.darkness for share in (0.45, 0.47, 0.5))
+    shade, dim, plain = 1 - 0.4 * look.darkness, (red, green, blue), (1.0, 1.0, 1.0)
+    white: Color = (0.5 * red, 0.46 * green, 0.42 * blue)
+    (r, g, b), iris = IRIS[look.eyes], f"iris_{look.eyes}.jpg"
+    rows: list[tuple[str, str, Color, float, Color]] = [  # material, picture, colour without it, roughness, dimmed to
+        ("M_GumsTongue", "gums.jpg", (0.52, 0.20, 0.18), 0.3, plain),
+        ("M_Teeth", "teeth.jpg", (0.74, 0.68, 0.56), 0.22, plain),
         *((f"M_Sclera{side}", "sclera.png", white, 0.18, dim) for side in ("Left", "Right")),
-        *((f"M_Iris{side}", iris, IRIS[look.eyes], 0.4, 1.0) for side in ("Left", "Right")),
-        ("Pupil", iris, (0.002, 0.002, 0.002), 0.4, 1.0),
+        *(
+            (f"M_Iris{side}", iris, (shade * r, shade * g, shade * b), 0.4, (shade, shade, shade))
+            for side in ("Left", "Right")
+        ),
+        ("Pupil", iris, (0.002, 0.002, 0.002), 0.4, plain),
         ("Cornea", "sclera.png", (0.0, 0.0, 0.0), 0.03, dim),
     ]
     materials = []
     for name, picture, color, roughness, factor in rows:
-        scale = (factor, factor, factor, 1.0)
-        diffuse = TextureInput(texture=picture_of(picture), scale=scale) if textured else color
+        diffuse = TextureInput(texture=picture_of(picture), scale=(*factor, 1.0)) if textured else color
         materials.append(Material(name=name, diffuse_color=diffuse, roughness=roughness))
     clear = TextureInput(texture=picture_of("sclera.png"), channels="a") if textured else 0.05
     materials[-1] = replace(materials[-1], opacity=clear, ior=1.376)

@@ -168,6 +168,25 @@ def test_an_eye_is_clear_before_the_iris_and_white_around_it(head: FaceParts, ey
     assert alpha[middle, middle + int(0.15 * len(alpha)) :].min() == 1.0
 
 
+@pytest.mark.usefixtures("plain_skin")
+@pytest.mark.parametrize("size", [None, SIZE])
+@pytest.mark.parametrize("name", ["M_ScleraLeft", "M_IrisRight"])
+def test_eyes_are_the_dimmer_the_darker_the_skin_and_the_whites_no_bluer(
+    head: FaceParts, name: str, size: int | None
+) -> None:
+    shown = []
+    for tone in (1.0, 5.0, 10.0):
+        materials = dressed(head, Look(tone=tone, eyes="blue"), size).materials
+        color = next(material for material in materials if material.name == name).diffuse_color
+        shown.append(color.scale[:3] if isinstance(color, TextureInput) else color)
+    light, middle, dark = (np.array(one) for one in shown)
+    assert (light > middle).all()
+    assert (middle > dark).all()
+    assert 0.5 <= (dark / light).min() <= (dark / light).max() <= 0.65
+    assert dark[2] / dark[0] <= light[2] / light[0] + 1e-9
+    assert dark[2] / dark[0] > 0.9 * light[2] / light[0]  # not yellow
+
+
 @pytest.mark.parametrize("name", SETS)
 def test_cards_are_held_by_points_of_the_head(head: FaceParts, name: str) -> None:
     held = cards(name)
