@@ -1,0 +1,92 @@
+"""Lips of a person that meet at rest: identity modes part those of some people, so that teeth show, and press others.
+
+Points of lips lie on loops around the mouth, counted from the border of its inside. Seen from the front, the lowest of
+the upper lip has to reach the highest of the lower one all along the mouth: each goes half the way, and the skin around
+them less and less.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from scipy.sparse import coo_array
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.heads.asset import asset
+
+_INSIDE = slice(11248, 13294)  # points of the mouth's inside
+_MEETING = slice(
+    3, 11
+)  # loops that may meet those of the other lip; skin stays at the first loop, and from the last on
+_LOOPS = 22
+_OVER, _OVERLAP = 0.012, 0.022  # cm that lips reach over one another at least, and go into one another at most
+_DEPTHS = 25  # places from front to back
+_ALONG = 75  # places along the mouth
+_CORNER = 0.015  # of its width from each end, where lips part from one another
+_ROUNDS = 3  # once they have moved, lips meet at other places
+
+
+def fit_lips(points: FloatArray) -> FloatArray:
+    """The points (n, 3) of a head, in centimetres, with lips that meet."""
+    fitted, halves = points.copy(), _lips()
+    right, left = points[halves[0][_MEETING.start][[0, -1]], 0]
+    x = np.linspace(right, left, _ALONG)
+    taper = np.clip(np.minimum(x - right, left - x) / (_CORNER * (left - right)), 0.0, 1.0)
+    shares = np.interp(np.arange(_LOOPS), [0, _MEETING.start, _MEETING.stop - 1, _LOOPS - 1], [0, 1, 1, 0])
+    shares = shares**2 * (3.0 - 2.0 * shares)
+    for _ in range(_ROUNDS):
+        upper, lower = (_outlines(fitted, half[_MEETING], x) for half in halves)
+        gap = upper[0].min(axis=0) - lower[0].max(axis=0)
+        way = 0.5 * taper * (np.maximum(gap + _OVER, 0.0) - np.maximum(_overlap(upper, lower) - _OVERLAP, 0.0))
+        for half, sign in zip(halves, (-1.0, 1.0), strict=True):
+            for loop, share in zip(half, shares, strict=True):
+                inner = loop[1:-1]  # corners stay
+                fitted[inner, 1] += sign * share * np.interp(fitted[inner, 0], x, way)
+    return fitted
+
+
+def _outlines(points: FloatArray, loops: list[IntArray], x: FloatArray) -> FloatArray:
+    """(2, loops, k) heights and depths of the loops of a lip at k places along the mouth."""
+    return np.array([[np.interp(x, points[loop, 0], points[loop, axis]) for loop in loops] for axis in (1, 2)])
+
+
+def _overlap(upper: FloatArray, lower: FloatArray) -> FloatArray:
+    """(k,) how far lips go into one another at each of k places, by the outlines (2, loops, k) of both."""
+    back, front = (pick(np.stack([upper[1], lower[1]]), axis=1) for pick in (np.min, np.max))
+    low, high = back.max(axis=0), front.min(axis=0)
+    found = np.full(len(low), -np.inf)
+    for place in np.flatnonzero(high > low):
+        depths = np.linspace(low[place], high[place], _DEPTHS)
+        (above, its_depths), (below, other_depths) = upper[..., place], lower[..., place]
+        found[place] = np.max(np.interp(depths, other_depths, below) - np.interp(depths, its_depths, above))
+    return found
+
+
+@cache
+def _lips() -> tuple[list[IntArray], list[IntArray]]:
+    """Points of the upper and of the lower half of each loop, from the right corner of the mouth to the left."""
+    head = asset()
+    ends = np.cumsum(head.counts)
+    following = np.arange(1, len(head.indices) + 1)
+    following[ends - 1] = ends - head.counts
+    count = len(head.points)
+    links = coo_array((np.ones(len(following)), (head.indices, head.indices[following])), shape=(count, count)).tocsr()
+    links = links + links.T
+    seen = np.zeros(count, bool)
+    seen[_INSIDE] = True
+    loop = np.flatnonzero(seen)
+    kinds = np.zeros((count, 2))  # of the upper half, of the lower; corners are of both
+    upper, lower = [], []
+    for number in range(_LOOPS):
+        loop = np.flatnonzero((links[:, loop].sum(axis=1) > 0) & ~seen)
+        loop = loop[np.argsort(head.points[loop, 0], kind="stable")]
+        if number == 0:  # wide open: farther out, lips lie on one another
+            across = np.interp(head.points[loop, 0], *head.points[loop[[0, -1]], :2].T)
+            kinds[loop, 0], kinds[loop, 1] = head.points[loop, 1] >= across, head.points[loop, 1] <= across
+        else:
+            kinds[loop] = (links[loop] * seen) @ kinds > 0
+        seen[loop] = True
+        upper.append(loop[kinds[loop, 0] > 0])
+        lower.append(loop[kinds[loop, 1] > 0])
+    return upper, lower
