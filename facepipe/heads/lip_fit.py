@@ -21,6 +21,7 @@ _MEETING = slice(
 )  # loops that may meet those of the other lip; skin stays at the first loop, and from the last on
 _LOOPS = 22
 _OVER, _OVERLAP = 0.012, 0.022  # cm that lips reach over one another at least, and go into one another at most
+_UPPER = 0.75  # of what takes lips out of one another: teeth come over a lower lip that has gone half of it and rolls in
 _DEPTHS = 25  # places from front to back
 _ALONG = 75  # places along the mouth
 _CORNER = 0.015  # of its width from each end, where lips part from one another
@@ -38,11 +39,13 @@ def fit_lips(points: FloatArray) -> FloatArray:
     for _ in range(_ROUNDS):
         upper, lower = (_outlines(fitted, half[_MEETING], x) for half in halves)
         gap = upper[0].min(axis=0) - lower[0].max(axis=0)
-        way = 0.5 * taper * (np.maximum(gap + _OVER, 0.0) - np.maximum(_overlap(upper, lower) - _OVERLAP, 0.0))
-        for half, sign in zip(halves, (-1.0, 1.0), strict=True):
+        closing = taper * np.maximum(gap + _OVER, 0.0)
+        opening = taper * np.maximum(_overlap(upper, lower) - _OVERLAP, 0.0)
+        ways = _UPPER * opening - 0.5 * closing, 0.5 * closing - (1.0 - _UPPER) * opening
+        for half, way in zip(halves, ways, strict=True):
             for loop, share in zip(half, shares, strict=True):
                 inner = loop[1:-1]  # corners stay
-                fitted[inner, 1] += sign * share * np.interp(fitted[inner, 0], x, way)
+                fitted[inner, 1] += share * np.interp(fitted[inner, 0], x, way)
     return fitted
 
 
