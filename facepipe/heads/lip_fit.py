@@ -21,7 +21,7 @@ _MEETING = slice(
 )  # loops that may meet those of the other lip; skin stays at the first loop, and from the last on
 _LOOPS = 22
 _OVER, _OVERLAP = 0.012, 0.022  # cm that lips reach over one another at least, and go into one another at most
-_UPPER = 0.75  # of what takes lips out of one another: teeth come over a lower lip that has gone half of it and rolls in
+_UPPER = 0.75  # of what takes lips out of one another; teeth come over a lower lip that goes half of it, and rolls in
 _DEPTHS = 25  # places from front to back
 _ALONG = 75  # places along the mouth
 _CORNER = 0.015  # of its width from each end, where lips part from one another
