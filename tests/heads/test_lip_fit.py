@@ -46,7 +46,7 @@ def test_lips_go_up_and_down_alone_and_no_skin_far_from_them() -> None:
     corners = points[asset().landmarks[[60, 64]]]
     np.testing.assert_allclose(moved[asset().landmarks[[60, 64]]], 0.0, atol=0.01)
     far = np.linalg.norm(points - corners.mean(axis=0), axis=1) > np.linalg.norm(corners[1] - corners[0])
-    assert np.abs(moved[far]).max() < 0.003  # cm
+    assert np.abs(moved[far]).max() < 0.015  # cm
     assert (moved[asset().landmarks[[51, 62]], 1] < 0).all()
     assert (moved[asset().landmarks[[57, 66]], 1] > 0).all()
 
