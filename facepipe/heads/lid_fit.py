@@ -118,7 +118,7 @@ def _beside(lids: IntArray) -> csr_array:
     count = len(head.points)
     links = coo_array((np.ones(len(following)), (head.indices, head.indices[following])), shape=(count, count)).tocsr()
     links = ((links + links.T)[lids] > 0).astype(np.float64)
-    return csr_array((links / links.sum(axis=1)[:, None])[:, lids])
+    return csr_array(links / links.sum(axis=1)[:, None])[:, lids]
 
 
 @dataclass(frozen=True, kw_only=True)
