@@ -51,12 +51,16 @@ class Sheet:
         return cls(skin, skin[kept & seen], hard)
 
     def before_skin(self, points: FloatArray) -> Contact:
-        """Where the hard part lies up to `_DEEPEST` in front of outer skin; an open mouth shows teeth, and has none."""
+        """Where the hard part is seen up to `_DEEPEST` in front of outer skin; an open mouth shows teeth, and has none.
+
+        What other skin hides, the inner side of a rolled lip, is not seen.
+        """
         gaps = []
         for view in five_views():
             grid = Grid.of(points @ view.T, self.hard)
             front, outer = (grid.first(grid.front(triangles))[0] for triangles in (self.hard, self.outer))
-            gap = front[front > outer] - outer[front > outer]
+            before = (front > outer) & (front > grid.first(self.skin)[0])
+            gap = front[before] - outer[before]
             gaps.append(gap[(gap > _ROUNDING_DEPTH) & (gap < _DEEPEST)])
         return _contact(gaps)
 
