@@ -16,16 +16,15 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.heads.asset import asset
 
 _INSIDE = slice(11248, 13294)  # points of the mouth's inside
-_MEETING = slice(
-    3, 11
-)  # loops that may meet those of the other lip; skin stays at the first loop, and from the last on
+# loops that may meet those of the other lip; skin stays at the first loop, and from the last on
+_MEETING = slice(3, 11)
 _LOOPS = 22
-_OVER, _OVERLAP = 0.012, 0.022  # cm that lips reach over one another at least, and go into one another at most
+_OVER, _OVERLAP = 0.012, 0.014  # cm that lips reach over one another at least, and go into one another at most
 _UPPER = 0.75  # of what takes lips out of one another; teeth come over a lower lip that goes half of it, and rolls in
 _DEPTHS = 25  # places from front to back
 _ALONG = 75  # places along the mouth
 _CORNER = 0.015  # of its width from each end, where lips part from one another
-_ROUNDS = 3  # once they have moved, lips meet at other places
+_ROUNDS = 6  # once they have moved, lips meet at other places
 
 
 def fit_lips(points: FloatArray) -> FloatArray:
