@@ -63,6 +63,17 @@ class Asset:
         """The mesh that a point is in, and its number there."""
         return next((name, point - part.points.start) for name, part in self.parts.items() if point < part.points.stop)
 
+    def links(self) -> Any:
+        """Sparse (n, n), above 0 where an edge of a face joins two points."""
+        from scipy.sparse import coo_array
+
+        ends = np.cumsum(self.counts)
+        following = np.arange(1, len(self.indices) + 1)
+        following[ends - 1] = ends - self.counts
+        pairs, count = (self.indices, self.indices[following]), len(self.points)
+        links = coo_array((np.ones(len(following)), pairs), shape=(count, count)).tocsr()
+        return links + links.T
+
 
 def _read(name: str, start: str = "") -> dict[str, npt.NDArray[Any]]:
     with as_file(files("facepipe.heads") / "data" / f"{name}.npz") as path, np.load(path, allow_pickle=False) as file:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray, IntArray
@@ -111,13 +111,7 @@ def _turns(about_x: float, about_y: float) -> FloatArray:
 
 def _beside(lids: IntArray) -> csr_array:
     """(k, k) the mean over the points beside each of the points (k,) of the head; those of no lid count as 0."""
-    head = asset()
-    corners = np.cumsum(head.counts)
-    following = np.arange(1, len(head.indices) + 1)
-    following[corners - 1] = corners - head.counts
-    count = len(head.points)
-    links = coo_array((np.ones(len(following)), (head.indices, head.indices[following])), shape=(count, count)).tocsr()
-    links = ((links + links.T)[lids] > 0).astype(np.float64)
+    links = (asset().links()[lids] > 0).astype(np.float64)
     return csr_array(links / links.sum(axis=1)[:, None])[:, lids]
 
 

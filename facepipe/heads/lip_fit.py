@@ -10,7 +10,6 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.heads.asset import asset
@@ -69,12 +68,7 @@ def _overlap(upper: FloatArray, lower: FloatArray) -> FloatArray:
 def _lips() -> tuple[list[IntArray], list[IntArray]]:
     """Points of the upper and of the lower half of each loop, from the right corner of the mouth to the left."""
     head = asset()
-    ends = np.cumsum(head.counts)
-    following = np.arange(1, len(head.indices) + 1)
-    following[ends - 1] = ends - head.counts
-    count = len(head.points)
-    links = coo_array((np.ones(len(following)), (head.indices, head.indices[following])), shape=(count, count)).tocsr()
-    links = links + links.T
+    links, count = head.links(), len(head.points)
     seen = np.zeros(count, bool)
     seen[_INSIDE] = True
     loop = np.flatnonzero(seen)
