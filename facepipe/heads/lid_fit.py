@@ -31,7 +31,7 @@ _HALF = 0.5  # a weight at which looks are kept out of the eyeball too
 _FAR = -9.0  # cm: below all that lies over an eyeball
 # by ring, cm over the eyeball
 _LEAST = np.array([_FAR, 0.0, 0.02, 0.06, 0.10, 0.12, 0.12, 0.12, 0.12, 0.12, 0.10, _FAR, _FAR])
-_LEAST_AT_ENDS = np.array([_FAR, -0.1, -0.05, 0.0, 0.01, *6 * (0.02,), _FAR, _FAR])  # of sliders, or squinting too
+_LEAST_AT_ENDS = np.array([_FAR, -0.1, -0.05, 0.01, 0.02, *6 * (0.03,), _FAR, _FAR])  # of sliders, or squinting too
 _SOFT = 0.01  # cm, over which points begin to be pushed
 _SPREAD = 12  # rounds in which a push spreads to the skin beside it
 _CELLS, _SIDE = 128, 1.5  # of a table of an eyeball: stereographic coordinates about its front, to plus and minus 1.5

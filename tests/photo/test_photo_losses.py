@@ -235,7 +235,7 @@ SLOPES = {
     ("expression_sparsity", "expressions"): (1e-3, 1e-3),
     ("color", "light"): (1e-3, 0.01),
     ("color", "tint"): (1e-3, 0.01),
-    ("identity", "light"): (1e-3, 0.1),
+    ("identity", "light"): (3e-3, 0.05),
     ("content", "tint"): (1e-3, 0.05),
     ("attributes", "light"): (3e-3, 0.05),
 }

@@ -46,7 +46,7 @@ def test_points_between_the_templates_move_as_its_triangles_do() -> None:
         at_rows = delta[template().rows]
         off = np.linalg.norm(found.deltas[name] - np.concatenate([at_rows, at_rows[pairs].mean(axis=1)]), axis=1)
         assert np.percentile(off, 99.5) < 1e-6
-        assert off.max() < 2.0  # in the folds of a head of so few triangles
+        assert off.max() < 1.0  # in the folds of a head of so few triangles
 
 
 def test_turn_size_and_place_of_a_head_turn_and_scale_its_shapes() -> None:
@@ -66,8 +66,7 @@ def test_no_motion_crosses_the_mouth_where_the_template_lies_2_mm_off() -> None:
     most = opened[still.sides == 1].max()
     assert opened[still.sides == -1].max() > 2.0 * most
     found = np.linalg.norm(off.deltas["jawOpen"], axis=1)
-    upper = (off.sides == 1) & (still.sides == 1)  # corners are of neither lip
-    assert found[upper].max() < 1.1 * most  # not the lower lip's, though that is nearer
+    assert found[off.sides == 1].max() < 1.1 * most  # not the lower lip's, though that is nearer
 
 
 def test_seams_cut_nothing() -> None:

@@ -199,14 +199,10 @@ def test_skipped_shapes_leave_shapes_sliders_and_clips() -> None:
 @kinds("sample", "ict")
 @pytest.mark.parametrize("shape", ["jawOpen", "eyeBlinkLeft", "mouthSmileLeft"])
 def test_transferred_shapes_are_near_the_ones_that_were_lost(kind: str, shape: str) -> None:
-    """Both identities have the shape; one is made to lack it, and what it gets is near what it had.
-
-    Skin is not held out of eyeballs: how deep lids of so few triangles lie in them depends on which triangles stay.
-    """
+    """Both identities have the shape; one is made to lack it, and what it gets is near what it had."""
     one, two = (only_shapes(head(kind, number), shape) for number in range(2))
-    with_it = BlendSession(faces(one, two), BlendOptions(contacts=False)).solve(Weights(default=(0.5, 0.5)))
-    options = BlendOptions(missing="transfer", contacts=False)
-    session = BlendSession(faces(one, without_shapes(two, shape)), options)
+    with_it = BlendSession(faces(one, two)).solve(Weights(default=(0.5, 0.5)))
+    session = BlendSession(faces(one, without_shapes(two, shape)), BlendOptions(missing="transfer"))
     got = session.solve(Weights(default=(0.5, 0.5)))
     assert [name for name, _ in session.transferred] == [shape]
     for a, b, sculpt in zip(with_it.offsets, got.offsets, with_it.sculpts, strict=True):
