@@ -26,6 +26,7 @@ from features_marked import MarkedNetwork, take_trunk
 from features_network import SIZE, normalised
 from features_reader import Modes, read_off
 from features_scores import held_out_scores
+from packed_weights import packed
 from script_arguments import add_training
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
@@ -63,7 +64,7 @@ def main() -> None:
     said["command"] += f" && python training/features_second_stage.py {arguments.first.name} GEOMETRY.npz HEADS LOOKS"
     said["command"] += f" --more FACES -o {arguments.out.name} --steps {arguments.steps} --seed {arguments.seed}"
     say(json.dumps(said["held_out"], indent=2))
-    write_bytes(arguments.out, to_onnx(network, said))
+    write_bytes(arguments.out, packed(to_onnx(network, said)))
 
 
 def divided(folders: list[Path], more: Path, seed: int) -> tuple[Heads, Heads]:

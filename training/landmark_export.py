@@ -7,15 +7,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 from landmark_network import COUNT, SIZE, DenseNetwork, LandmarkNetwork, MaskNetwork, Pyramid
-from onnx import TensorProto
 from torch import nn
 
-from facepipe.onnx_graph import Array
 from facepipe.rig.torch.graph_writer import GraphWriter
-
-_LARGE = 1000  # numbers
 
 
 def to_onnx(network: LandmarkNetwork, metadata: Mapping[str, object]) -> bytes:
@@ -33,7 +28,7 @@ def to_onnx(network: LandmarkNetwork, metadata: Mapping[str, object]) -> bytes:
 
 def dense_onnx(network: DenseNetwork, metadata: Mapping[str, object]) -> bytes:
     """The same of many landmarks, and of the mean errors to expect of them in 0..1 of the crop."""
-    write, count = _HalfWriter(), len(network.usual)
+    write, count = GraphWriter(), len(network.usual)
     up, _ = _pyramid(write, network)
     channels = network.heat.in_channels
     share = write.add("Softmax", write.reshape(write.conv("heat", up, network.heat), 0, count, -1), axis=2)
@@ -49,22 +44,11 @@ def dense_onnx(network: DenseNetwork, metadata: Mapping[str, object]) -> bytes:
 
 def mask_onnx(network: MaskNetwork, metadata: Mapping[str, object]) -> bytes:
     """The same of what a picture shows: shares of each class."""
-    write = _HalfWriter()
+    write = GraphWriter()
     up, _ = _pyramid(write, network)
     write.add("Softmax", write.conv("classes", up, network.classes), name="shares", axis=1)
     size, ends = network.SIZE, {"shares": (len(network.CLASSES), network.CELLS, network.CELLS)}
     return write.to_bytes("face_mask", {"image": (3, size, size)}, ends, _properties(metadata))
-
-
-class _HalfWriter(GraphWriter):
-    """Stores large tensors in float16, of which a session makes float32 once: half of the file."""
-
-    def constant(self, name: str, values: Array, kind: npt.DTypeLike = np.float32) -> str:
-        """As `Nodes.constant`."""
-        array = np.asarray(values)
-        if kind is not np.float32 or array.size < _LARGE:
-            return super().constant(name, array, kind)
-        return self.add("Cast", super().constant(name, array, np.float16), to=TensorProto.FLOAT)
 
 
 def _properties(metadata: Mapping[str, object]) -> dict[str, str]:

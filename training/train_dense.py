@@ -20,6 +20,7 @@ from descent import descend
 from landmark_data import covered, recolored
 from landmark_export import dense_onnx
 from landmark_network import MEAN, STD, DenseNetwork
+from packed_weights import packed
 from scipy.spatial import cKDTree
 from script_arguments import add_training
 from shards import Shards, batches
@@ -138,7 +139,7 @@ def main() -> None:
     def keep(network: DenseNetwork, step: int) -> None:
         found = scores(network.eval(), held_out)
         print(step, found, flush=True)
-        write_bytes(options.out, dense_onnx(copy.deepcopy(network).cpu(), metadata(options, found)))
+        write_bytes(options.out, packed(dense_onnx(copy.deepcopy(network).cpu(), metadata(options, found))))
         network.train()
 
     heads = Heads(options.data, range(1, options.shards), options.device)

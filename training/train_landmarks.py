@@ -16,6 +16,7 @@ import torch
 from descent import descend
 from landmark_export import to_onnx
 from landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
+from packed_weights import packed
 from script_arguments import add_training
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
@@ -96,7 +97,7 @@ def main() -> None:
     def keep(network: LandmarkNetwork, step: int) -> None:
         found = scores(network.eval(), held_out)
         print(step, found, flush=True)
-        write_bytes(options.out, to_onnx(network, metadata(options, found)))
+        write_bytes(options.out, packed(to_onnx(network, metadata(options, found))))
         network.train()
 
     heads = landmark_data.read(options.data, range(1, options.shards))

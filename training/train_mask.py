@@ -19,6 +19,7 @@ from landmark_data import recolored
 from landmark_export import mask_onnx
 from landmark_network import MEAN, STD, MaskNetwork
 from mask_heads import SHARD
+from packed_weights import packed
 from script_arguments import add_training
 from shards import Shards, batches
 from torch import Tensor
@@ -106,7 +107,7 @@ def main() -> None:
     def keep(network: MaskNetwork, step: int) -> None:
         found = scores(network.eval(), held_out)
         print(step, found, flush=True)
-        write_bytes(options.out, mask_onnx(copy.deepcopy(network).cpu(), metadata(options, found)))
+        write_bytes(options.out, packed(mask_onnx(copy.deepcopy(network).cpu(), metadata(options, found))))
         network.train()
 
     heads = Heads(options.data, range(1, options.shards), options.device)
