@@ -26,6 +26,7 @@ LANDMARKS, UNALIGNED = "landmarks", "none"
 RIGID = (27, 28, 29, 30, 33, 36, 39, 42, 45)
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
 _SCALED = 1.5
+_SAME_UV = 1e-3  # of a picture: quantised files move UVs by less
 _SIZES = 1e4
 
 
@@ -211,12 +212,17 @@ def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
 def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple[FaceParts, tuple[str, ...]]:
     """`source` with the cards that `base` wears and it does not, on its own skin; and what these are called.
 
-    A point of a card keeps its place on the largest mesh of the face, and its distance from there.
+    Hair of two styles may be of one topology; it is the same where it shows the same places of pictures. A point of a
+    card keeps its place on the largest mesh of the face, and its distance from there.
 
     :param to_base: (4, 4) from the other's bind space to that of the base, which have the same joints
     """
-    missing = [mesh for mesh in base.meshes if _is_cards(mesh, base) and not _has(source, mesh)]
     named = {mesh.name: mesh for mesh in source.meshes}
+    missing = [
+        mesh
+        for mesh in base.meshes
+        if _is_cards(mesh, base) and not (_has(source, mesh) and _same_uvs(mesh, named[mesh.name]))
+    ]
     faces = [mesh for mesh in base.meshes if not _is_cards(mesh, base) and _has(source, mesh)]
     if not missing or not faces:
         return source, ()
@@ -286,6 +292,17 @@ def _has(parts: FaceParts, mesh: Mesh) -> bool:
     except TopologyError:
         return False
     return True
+
+
+def _same_uvs(mesh: Mesh, other: Mesh) -> bool:
+    """Whether meshes of one topology show the same places of pictures, as far as both say."""
+    theirs = {uvs.name: uvs for uvs in other.uv_sets}
+    pairs = [
+        [one.values if one.indices is None else one.values[one.indices] for one in (uvs, theirs[uvs.name])]
+        for uvs in mesh.uv_sets
+        if uvs.name in theirs
+    ]
+    return all(one.shape != other.shape or np.allclose(one, other, atol=_SAME_UV) for one, other in pairs)
 
 
 def _space(parts: FaceParts, mesh: Mesh) -> FloatArray:

@@ -11,6 +11,9 @@ from facepipe.core.errors import TopologyError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
 from facepipe.heads import make
+from facepipe.heads.assembly import make_head
+from facepipe.heads.people import MODES, Look
+from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts, Mesh
 from facepipe.stage import Face
 from facepipe.verbs.blend.sources import stack
@@ -52,6 +55,17 @@ def test_hair_that_another_has_not_follows_its_skin(haired: FaceParts) -> None:
     assert np.median(np.abs(away(sources.parts[1]) - away(haired))) < 0.1
     moved = mesh(sources.parts[1], "Hair").points - mesh(haired, "Hair").points
     assert np.linalg.norm(moved, axis=1).mean() > 0.05
+
+
+def test_hair_of_another_style_is_not_blended_though_it_is_of_one_topology() -> None:
+    """A crop and a receding one are cards of one number and size, which lie elsewhere on the head."""
+    bald = few(make_head(np.zeros(MODES)))
+    crop, receding = (dressed(bald, Look(tone=3, style=style, hair="brown"), 16) for style in ("crop", "receding"))
+    np.testing.assert_array_equal(mesh(crop, "Hair").face_vertex_indices, mesh(receding, "Hair").face_vertex_indices)
+    sources = stack([Face.from_parts(crop), Face.from_parts(receding)])
+    assert any("wears" in line and "Hair" in line for line in sources.warnings)
+    np.testing.assert_allclose(mesh(sources.parts[1], "Hair").points, mesh(crop, "Hair").points, atol=1e-4)
+    assert stack([Face.from_parts(crop), Face.from_parts(crop)]).warnings == ()
 
 
 def test_teeth_are_no_cards(haired: FaceParts) -> None:
