@@ -46,17 +46,16 @@ def test_people_on_another_topology_are_people() -> None:
     identity = people_on(template).identity
     assert identity.mean.shape == template.points.shape
     skin = template.rows[template.face]
-    for seed in (1, 2, PERSON):
-        person = whole_points(small_head.make(seed))
-        shown = identity.points(identity.coefficients(person))
-        off = np.linalg.norm((shown - person)[skin], axis=1).mean()
-        apart = np.linalg.norm((template.points - person)[skin], axis=1).mean()
-        assert off < 0.25 * apart
+    people = np.stack([whole_points(small_head.make(seed)) for seed in (1, 2, PERSON)])
+    shown = np.stack([identity.points(identity.coefficients(person)) for person in people])
+    off, apart = (np.linalg.norm((one - people)[:, skin], axis=2).mean() for one in (shown, template.points))
+    assert off < 0.2 * apart  # 0.8 mm, of people 3 to 7 mm from the template
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["template.usda", pytest.param("plain.usda", marks=pytest.mark.needs_torch)])
 def test_a_head_takes_the_shapes_of_a_template_of_another_topology(folder: Path, tmp_path: Path, name: str) -> None:
+    """They are those of the template but for a factor, as other people's faces are larger or smaller."""
     report = facepipe.transfer(head=folder / "head.usda", template=folder / name, out=tmp_path / "out.usda")
     lines = [line for line in report.warnings if "plain.usda: has no multipie68 landmarks: found on it" in line]
     assert len(lines) == (name == "plain.usda")
@@ -64,8 +63,10 @@ def test_a_head_takes_the_shapes_of_a_template_of_another_topology(folder: Path,
     assert list(found) == ["jawOpen"]
     truth = whole_face(make(PERSON), "truth").deltas["jawOpen"]
     moves = np.linalg.norm(truth, axis=1)
-    off = np.linalg.norm(found["jawOpen"] - truth, axis=1)
-    assert off[moves > 0.3].mean() < 0.1 * moves[moves > 0.3].mean()
+    larger = np.sum(found["jawOpen"] * truth) / np.sum(truth**2)
+    assert 0.85 < larger < 1.15
+    off = np.linalg.norm(found["jawOpen"] - larger * truth, axis=1)
+    assert off[moves > 0.3].mean() < 0.1 * larger * moves[moves > 0.3].mean()
 
 
 @pytest.mark.slow
