@@ -57,6 +57,9 @@ _MELANIN = np.array([0.45, 0.75, 1.0])
 _LINED = 0.8  # darkening of the lids' rims, where lashes are full
 _GROOVE = 2.0  # darkening in the depth of folds, for each cm
 _SHADE = np.array([0.75, 0.95, 1.0])
+_CARUNCLE = np.array([0.55, 0.25, 0.22])
+_RIM = np.array([0.74, 0.45, 0.41])  # of the lower lid, where tears lie along the eyeball
+_TEARS = 0.05  # cm that they stand up along the eyeball
 _FLESH = np.array([0.52, 0.20, 0.18])
 
 
@@ -156,6 +159,8 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
         colors = _mix(colors, tint, BEARDS[look.whiskers] * np.clip((_grown(look, tile, step) - 0.3) / 0.6, 0, 1))
     colors = _mix(colors, np.minimum(look.hair_color, 0.5 * look.skin), 0.4 * look.brows * m["brows"])
     colors = _mix(colors, look.skin * (0.95, 0.66, 0.62), m["socket"])
+    colors = _mix(colors, _RIM * (1 - 0.6 * look.darkness), m["wet_line"])
+    colors = _mix(colors, _CARUNCLE * (1 - 0.5 * look.darkness), m["caruncle"])
     return _mix(colors, _FLESH * (1 - 0.3 * look.darkness), m["mouth"])
 
 
@@ -241,6 +246,7 @@ def roughness(look: Look, tile: int, size: int) -> FloatArray:
     rough += 0.08 * look.worn**2 + 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
     wet = np.maximum.reduce([m["mouth"], m["socket"], m["rim"]])
     rough = np.clip(rough + (0.22 - rough) * wet, 0.1, 1)
+    rough += (0.08 - rough) * np.maximum(m["wet_line"], m["caruncle"])
     return np.asarray(_enlarged(to_bytes(np.stack([m["open"] ** 0.7, rough, np.zeros_like(rough)], axis=-1)), size))
 
 
@@ -260,6 +266,7 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
     height += 0.0016 * (1 + 1.5 * look.worn**2) * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
     height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
+    height += _enlarged(_TEARS * m["wet_line"], size)
     if look.worn and TILES[tile] == "face":
         height += _sagging(look, size)
         crossed = np.zeros((512, 512), np.float32)

@@ -14,8 +14,10 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from facepipe.core.errors import InputError
+from facepipe.geometry.colors import from_srgb
 from facepipe.heads import skin
 from facepipe.heads.assembly import make_head
+from facepipe.heads.asset import arrays
 from facepipe.heads.people import BEARDS, BROWS, IRIS, STYLES, Look
 from facepipe.heads.surfaces import Cards, card_mesh, card_triangles, cards, dressed
 from facepipe.parts import FaceParts, TextureInput
@@ -79,6 +81,36 @@ def test_skin_darkens_with_the_tone_and_lips_are_redder_than_cheeks() -> None:
             color[lips][:, 0].mean() / color[lips][:, 1].mean()
             > color[cheeks][:, 0].mean() / color[cheeks][:, 1].mean()
         )
+
+
+@pytest.mark.parametrize("tone", [1.0, 5.0, 10.0])
+def test_caruncles_are_pink_and_wet_and_tears_line_the_lower_lids(head: FaceParts, tone: float) -> None:
+    mesh, lids, size, look = head.meshes[0], arrays("lids"), 512, Look(tone=tone, feminine=0.8)
+    place = np.zeros((len(mesh.points), 2))
+    uv = mesh.uv_sets[0].values[mesh.uv_sets[0].indices]
+    here = uv[:, 0] < 1
+    place[mesh.face_vertex_indices[here]] = uv[here]
+    color = from_srgb(skin.albedo(look, 0, size) / 255)
+    maps = np.dstack([color, skin.roughness(look, 0, size)[..., 1] / 255])
+    white = np.asarray(Image.open(io.BytesIO((files("facepipe.heads") / "data" / "sclera.png").read_bytes())))
+    red, green, _ = from_srgb(white[white[..., 3] > 250][:, :3] / 255).mean(axis=0)
+
+    def seen(points: np.ndarray) -> np.ndarray:
+        at = (place[points] * [1, -1] + [0, 1]) * size
+        return maps[at[:, 1].astype(int), at[:, 0].astype(int)].mean(axis=0)
+
+    for side, corner in enumerate((42, 39)):  # of the 68 landmarks
+        low, ring = lids["lids"][side][~lids["lid_upper"]], lids["lid_rings"][~lids["lid_upper"]]
+        inner = mesh.points[mesh.landmarks["multipie68"].indices[corner]]
+        far = np.linalg.norm(mesh.points[low] - inner, axis=1)  # cm
+        line, beside = seen(low[(ring == 3) & (far > 0.6)]), seen(low[(ring == 9) & (far > 0.6)])
+        caruncle = seen(low[(ring >= 4) & (ring <= 5) & (far < 0.25)])
+        assert line[3] < 0.15 < 0.35 < beside[3]
+        assert line[:3].mean() > beside[:3].mean()
+        assert line[2] > 1.1 * beside[2]  # the lightest skin is as light as a rim can be, but yellower
+        assert caruncle[3] < 0.25
+        assert caruncle[0] / caruncle[1] > 1.5 * red / green
+        assert caruncle[0] / caruncle[1] > 1.1 * line[0] / line[1]
 
 
 def _spread(values: np.ndarray, where: np.ndarray) -> float:
