@@ -99,3 +99,33 @@ def test_sliders_have_names_of_their_own_and_mutual_mirrors() -> None:
         assert slider.minimum == -1.0
         if slider.mirror:
             assert sliders[slider.mirror].mirror == slider.name
+
+
+@pytest.mark.parametrize("seed", [0, 3, pytest.param(7, marks=pytest.mark.slow)])
+def test_childlike_gives_the_proportions_of_a_child(seed: int) -> None:
+    """Eyes low on a high head and wide for the face; a short nose, a small low face, a narrow mouth and neck."""
+    face, marks = Face.from_parts(make(seed)), asset().landmarks
+    names = list(measures.MEASURES)
+    functionals = measures.functionals(measures.spots(asset().points, marks))
+
+    def proportions(value: float) -> FloatArray:
+        points = face.evaluate(sliders={"childlike": value})[: measures.SKIN]
+        lengths = np.einsum("dnc,nc->d", functionals, points)
+        neck, head = (lengths[names.index(name)] for name in ("neckWidth", "headWidth"))
+        at, crown = points[marks], points[:, 1].max()
+        chin, eyes, nose = at[8, 1], at[36:48, 1].mean(), at[33, 1]
+        across = {ends: np.linalg.norm(at[ends[0]] - at[ends[1]]) for ends in ((0, 16), (36, 39), (48, 54))}
+        return np.array(
+            [
+                (eyes - chin) / (crown - chin),
+                across[0, 16] / across[36, 39],
+                (at[27, 1] - nose) / (crown - chin),
+                (nose - chin) / (crown - chin),
+                across[48, 54] / across[0, 16],
+                neck / head,
+            ]
+        )
+
+    child, half, adult = (proportions(value) for value in (1.0, 0.5, 0.0))
+    assert (child < np.array([0.95, 0.975, 0.9, 0.92, 0.92, 0.85]) * adult).all()
+    assert (half < adult).all()
