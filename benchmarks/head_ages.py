@@ -98,8 +98,7 @@ def drawn(who: Person, *, bald: bool, path: Path) -> Path:
     """A picture of a person down to below the chin."""
     looks = who.look
     if bald:
-        hair = looks.hair if looks.hair in ("grey", "white") else "dark"
-        looks = replace(looks, tone=4.0, style="bald", hair=hair, eyes="brown", whiskers="stubble", freckles=0.0)
+        looks = replace(looks, tone=4.0, style="bald", hair="dark", eyes="brown", whiskers="stubble", freckles=0.0)
     parts = dressed(make_head(who.identity, "bones"), looks, TEXELS)
     head, points = parts.meshes[0], np.concatenate([mesh.points for mesh in parts.meshes])
     chin = head.points[head.landmarks["multipie68"].indices[8], 1]

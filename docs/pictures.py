@@ -110,7 +110,7 @@ def looks(folder: Path) -> Image.Image:
     drawn: list[tuple[str, Image.Image]] = []
     for number, style in enumerate(STYLES):
         hair = ("black", "dark")[number % 2] if STYLES[style][1] == "coils.png" else tuple(HAIR)[number % len(HAIR)]
-        tone = {"black": 8, "dark": 6, "brown": 4, "light": 3, "blond": 2, "red": 1, "grey": 5, "white": 3}[hair]
+        tone = {"black": 8, "dark": 6, "brown": 4, "light": 3, "blond": 2, "red": 1}[hair]
         look = Look(tone=tone, style=style, hair=hair, eyes="dark" if tone > 5 else "blue")
         made = dressed(bald, look, 1024)
         drawn += [(style if view == "front" else "", picture(made, None, options(220, view))) for view in views]

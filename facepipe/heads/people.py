@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -39,9 +40,8 @@ HAIR: dict[str, Color] = {  # linear
     "light": (0.13, 0.075, 0.036),
     "blond": (0.33, 0.21, 0.10),
     "red": (0.19, 0.050, 0.016),
-    "grey": (0.30, 0.29, 0.28),
-    "white": (0.62, 0.60, 0.56),
 }
+_WHITE: Color = (0.62, 0.60, 0.56)  # of hairs without pigment
 STYLES = {  # how much hair colours the scalp, and the picture that its cards show
     "bald": (0.0, ""),
     "stubble": (0.5, ""),
@@ -91,8 +91,10 @@ class Look:
 
     @property
     def hair_color(self) -> FloatArray:
-        """(3,) linear, in the mean over the hairs."""
-        return np.array(HAIR[self.hair]) * (1 - self.grey) + np.array(HAIR["grey"]) * self.grey
+        """(3,) linear, in the mean over the hairs: pigment pales before it goes, else red hair turns pink."""
+        pigment = np.array(HAIR[self.hair])
+        pigment = pigment + self.grey * (pigment.mean() - pigment)
+        return np.asarray(pigment * (1 - self.grey) + np.array(_WHITE) * self.grey)
 
     @property
     def skin(self) -> FloatArray:
@@ -117,13 +119,48 @@ _FARTHEST = 2.5  # standard deviations of a drawn weight
 _WIDTHS = (1.3, 1.7)  # of weights, in standard deviations of the first mode, and of the last, which holds details
 _MOST = 2.8  # standard deviations of a measure
 _BACK = 2.75  # to which one beyond is taken
+_MOST_OF_REGION, _BACK_OF_REGION = 1.65, 1.6  # the same of the root mean square over a region's measures
 YOUNGEST, OLDEST = 18.0, 80.0  # years
 _FEWER_OLD = 1.6  # the exponent of an even draw between the two
 _TYPICAL = 1.2  # the sex of whom `feminine` is at an end
-_APART = 1.7  # standard deviations along the difference of the sexes for 1 of it; half the sculpts' difference is 2.1
+_APART = 1.7  # standard deviations along the sculpts' difference of the sexes for 1 of it; half of it is 2.1
+_RIDGE = 0.05  # of squared effects: directions that hardly change what is asked for are left
 _AGED = 1.4  # of half the sculpts' difference, that the youngest and the oldest are apart from the middle
 _STEP = 1 / 2048  # of packed weights
 _EFFECT = 1 / 16384  # of a measure's standard deviation: step of what modes do to it
+
+# Standard deviations of the measures of whom `feminine` makes typical, women's; men's are the opposite. The sculpts of
+# the trait differ in size, and not in brows, lips and lids. Signs are Farkas's (Anthropometry of the Head and Face,
+# 1994) and, for brows and forehead, those of skulls; how much is set by eye and by what a network reads.
+_WOMEN = {
+    "browDepth": -1.3,
+    "glabella": -1.0,
+    "browHeight": 1.0,
+    "browTilt": 0.3,
+    "foreheadSlope": 0.7,
+    "foreheadRound": 0.5,
+    "eyeOpening": 0.8,
+    "eyeTilt": 0.5,
+    "noseWidth": -1.1,
+    "noseTipWidth": -0.8,
+    "noseRoot": 0.8,
+    "noseBridge": -0.8,
+    "noseTipHeight": 0.4,
+    "nostrilBase": 0.0,
+    "cheekFullness": 0.8,
+    "upperLipFullness": 1.0,
+    "lowerLipFullness": 1.0,
+    "mouthWidth": -0.5,
+    "philtrumLength": -0.8,
+    "mouthCorner": 0.5,
+    "jawWidth": -1.5,
+    "jawLineWidth": -1.4,
+    "chinWidth": -1.4,
+    "chinLength": -1.4,
+    "chinDepth": -0.5,
+    "neckWidth": -1.6,
+    "neckDepth": -1.3,
+}
 
 _LIGHT, _MIDDLE, _DARK = 2.5, 5.0, 7.0  # tones between which the shares below are mixed
 _HAIR = {  # share at those tones
@@ -144,19 +181,19 @@ _EYES = {
 }
 _FAIR = {"black": 0.1, "dark": 0.5, "brown": 1.0, "light": 1.6, "blond": 2.5, "red": 1.6}  # times for fair eyes
 _STYLES = {  # share of women and of men; hairlines recede by age
-    "bald": (0.01, 0.06),
-    "stubble": (0.01, 0.07),
-    "buzz": (0.03, 0.15),
-    "crop": (0.09, 0.24),
-    "parted": (0.05, 0.14),
-    "slick": (0.03, 0.08),
-    "fringe": (0.14, 0.01),
-    "bob": (0.17, 0.02),
-    "long": (0.18, 0.04),
-    "bun": (0.11, 0.02),
-    "ponytail": (0.12, 0.01),
-    "coils": (0.03, 0.03),
-    "afro": (0.03, 0.01),
+    "bald": (0.0, 0.06),
+    "stubble": (0.0, 0.07),
+    "buzz": (0.0, 0.15),
+    "crop": (0.01, 0.24),
+    "parted": (0.01, 0.14),
+    "slick": (0.005, 0.08),
+    "fringe": (0.22, 0.01),
+    "bob": (0.28, 0.02),
+    "long": (0.32, 0.04),
+    "bun": (0.04, 0.02),
+    "ponytail": (0.05, 0.01),
+    "coils": (0.01, 0.03),
+    "afro": (0.04, 0.01),
 }
 _BEARDS = {"stubble": 0.66, "moustache": 0.06, "goatee": 0.1, "full": 0.18}  # share of men
 _SHAVEN = 0.15  # how much a man's beard shows at least
@@ -168,7 +205,8 @@ _BROWS = {  # share of women and of men
 _CURLED = ("coils", "afro")
 _RECEDES = (0.01, 0.4)  # share of men whose hairline has receded at the youngest and at the oldest
 _GREYING = 0.4  # share of the oldest who show it: the others colour their hair
-_PEPPER = (38.0, 75.0)  # years from which, and to which, hairs of those who let it grow turn grey one by one
+_FIRST_GREY = (26.0, 58.0)  # years at which hairs begin to turn, of the first and of the last of those who show it
+_TURNING = 25.0  # years until all have
 _COILS = (0.2, 1.0, 5.0)  # times for curls at light, middle and dark tones
 
 
@@ -198,26 +236,48 @@ def draw(seed: int, *, years: float | None = None, feminine: float | None = None
         sex, drawn, weights = 0.0, Person.years, np.zeros(MODES)
     if feminine is not None:
         sex = _TYPICAL * (1.0 - 2.0 * feminine)
-    by_sex, old = arrays("measures")["trait_weights"] * _STEP
-    across = by_sex / np.linalg.norm(by_sex)
+    manly, old = _manly(), arrays("measures")["trait_weights"][1] * _STEP
+    across = manly / np.linalg.norm(manly)
     lived = drawn if years is None else years
     age = (lived - YOUNGEST) / (OLDEST - YOUNGEST)
-    identity = weights + (_APART * sex - weights @ across) * across
+    identity = weights + sex * manly - (weights @ across) * across
     identity += (0.0 if average else _AGED * (2.0 * age - 1.0)) * old
     look = Look() if average and feminine is None else _look(random, seed, sex, lived, dyed=years is None)
     return Person(identity=_within(identity), sex=sex, years=lived, look=look)
 
 
-def _within(identity: FloatArray) -> FloatArray:
-    """(MODES,) weights changed as little as need be so that no measure is beyond `_MOST`.
+@cache
+def _manly() -> FloatArray:
+    """(MODES,) weights that 1 of sex adds: the sculpts', with the least change that measures ask for."""
+    data = arrays("measures")
+    numbers = {str(name): number for number, name in enumerate(data["names"])}
+    sculpts = data["trait_weights"][0] * _STEP
+    sculpts = _APART * sculpts / np.linalg.norm(sculpts)
+    rows = data["effects"][[numbers[name] for name in _WOMEN]] * _EFFECT
+    short = -np.array(list(_WOMEN.values())) / _TYPICAL - rows @ sculpts
+    return np.asarray(sculpts + rows.T @ np.linalg.solve(rows @ rows.T + _RIDGE * np.eye(len(rows)), short))
 
-    Kaczmarz's projections, the farthest measure first: each row of effects is a unit vector.
+
+def _within(identity: FloatArray) -> FloatArray:
+    """(MODES,) weights changed as little as need be: no measure beyond `_MOST`, no region far in most of its own.
+
+    Kaczmarz's projections, what is farthest first: rows of effects are unit vectors, and the length of a region's
+    measures falls fastest along their sum, each times its row. Regions of many far measures make caricatures: a mouth
+    small, thin and drawn down at once is within each measure's limit.
     """
-    effects = arrays("measures")["effects"] * _EFFECT
-    while abs(values := effects @ identity).max() > _MOST:
-        farthest = int(np.abs(values).argmax())
-        identity = identity - (values[farthest] - np.sign(values[farthest]) * _BACK) * effects[farthest]
-    return np.asarray(identity)
+    data = arrays("measures")
+    effects = data["effects"] * _EFFECT
+    own = [np.flatnonzero(data["groups"] == group) for group in dict.fromkeys(data["groups"].tolist())]
+    parts = [(np.array([row]), _MOST, _BACK) for row in range(len(effects))]
+    parts += [(rows, _MOST_OF_REGION * len(rows) ** 0.5, _BACK_OF_REGION * len(rows) ** 0.5) for rows in own]
+    while True:
+        values = effects @ identity
+        rows, most, back = max(parts, key=lambda part: np.linalg.norm(values[part[0]]) / part[1])
+        length = float(np.linalg.norm(values[rows]))
+        if length <= most:
+            return np.asarray(identity)
+        way = values[rows] @ effects[rows]
+        identity = identity - (1.0 - back / length) * length**2 / (way @ way) * way
 
 
 def _look(random: np.random.Generator, seed: int, sex: float, years: float, *, dyed: bool) -> Look:
@@ -229,10 +289,8 @@ def _look(random: np.random.Generator, seed: int, sex: float, years: float, *, d
     hair = _pick(random, _at(_HAIR, tone))
     fair = {"dark": 1.0, "brown": 1.0}
     eyes = _pick(random, {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()})
-    shown, chance = _GREYING if dyed else 1.0, random.random()
-    white, grey = shown / (1.0 + np.exp((np.array([72.0, 55.0]) - years) / 5.0))
-    pepper = float(np.interp(years, _PEPPER, (0.0, 0.8))) * max(1.0 - chance / shown, 0.0)
-    hair = "white" if chance < white else "grey" if chance < grey else hair
+    turn = random.random() / (_GREYING if dyed else 1.0)  # beyond 1 colours it
+    turned = (years - np.interp(turn, (0.0, 1.0), _FIRST_GREY)) / _TURNING if turn <= 1.0 else 0.0
     shares = {name: own[as_man] for name, own in _STYLES.items()}
     for curled in _CURLED:
         shares[curled] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
@@ -241,7 +299,7 @@ def _look(random: np.random.Generator, seed: int, sex: float, years: float, *, d
         tone=tone,
         eyes=eyes,
         hair=hair,
-        grey=0.0 if hair in ("grey", "white") else pepper,
+        grey=float(np.clip(turned, 0.0, 1.0)),
         style=_pick(random, shares),
         redness=float(random.uniform(0.2, 0.8)),
         lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),

@@ -54,7 +54,7 @@ _SHAVED = ("stubble", "buzz")  # styles whose hairs are dots
 _SMALL = 128  # texels a side, up to which every fourth place will do, and spots are smaller than a texel
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
 _MELANIN = np.array([0.45, 0.75, 1.0])
-_LINED = 0.8  # darkening of the lids' rims, where lashes are full
+_LINED = 1.1  # darkening of the lids' rims, where lashes are full
 _GROOVE = 2.0  # darkening in the depth of folds, for each cm
 _SHADE = np.array([0.75, 0.95, 1.0])
 _CARUNCLE = np.array([0.55, 0.25, 0.22])
@@ -91,7 +91,7 @@ def _picture(name: str, size: int) -> Any:
 
 def at_rest(look: Look) -> dict[str, float]:
     """How strong wrinkles are without any expression, by region, 0..1: none below 27 years, no two people alike."""
-    share = float(np.clip((look.age - 0.15) / 0.85, 0, 1))
+    share = float(np.clip((look.age - 0.15) / 0.85 * (1.1 - 0.2 * look.feminine), 0, 1))
     own = np.random.default_rng((look.seed, 300)).uniform(0.75, 1.2, len(wrinkle_table()))
     return {name: float(row["old"] * share * own[i]) for i, (name, row) in enumerate(sorted(wrinkle_table().items()))}
 
@@ -115,7 +115,7 @@ def _sagging(look: Look, size: int) -> FloatArray:
     """(size, size) height in cm of the face's folds and hollows of age, no two people's alike."""
     own = np.random.default_rng((look.seed, 301)).uniform(0.9, 1.7, len(sags())).astype(np.float32)
     heights = np.tensordot(own, np.stack(list(sags().values())), axes=1)
-    return np.asarray(_enlarged(np.float32(look.worn) * heights, size))
+    return np.asarray(_enlarged(np.float32(look.worn * (1.2 - 0.4 * look.feminine)) * heights, size))
 
 
 def _noise(look: Look, tile: int, wavelength: float, number: int, step: int = 1) -> FloatArray:
@@ -132,16 +132,18 @@ def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
     broad, middle, patch = (_noise(look, tile, size, i, step) for i, size in enumerate((3.2, 1.1, 0.55)))
     light = 1 - 0.6 * look.darkness
     warm = 0.75 * m["cheeks"] + 0.75 * m["nose"] + 0.7 * m["ears"] + 0.3 * m["chin"] - 0.2 * m["forehead"]
-    uneven = look.worn**2 * (1 - 0.7 * np.maximum(m["neck"], m["scalp"]))
+    womanly = max(2 * look.feminine - 1, 0)
+    uneven = look.worn**2 * (1 - 0.4 * womanly) * (1 - 0.7 * np.maximum(m["neck"], m["scalp"]))
     blood = (0.25 + 0.75 * look.redness) * warm + (0.05 * middle + 0.045 * patch + 0.03 * broad) * (1 + uneven)
     blood *= 1.15 - 0.3 * look.feminine
     blood = light * blood + 0.32 * m["lid"] + 0.35 * m["rim"] + 0.2 * m["under_eye"]
-    red = (0.3 + 0.8 * look.lips + 0.5 * look.feminine) * (1 - 0.5 * look.worn)
+    red = (0.3 + 0.8 * look.lips + 0.5 * look.feminine + 0.5 * womanly) * (1 - 0.5 * look.worn)
     blood += red * m["lips"] * (1 - 0.35 * look.darkness) * (1 + 0.05 * patch)
-    melanin = (0.025 * broad + 0.02 * middle) * (1 + 2 * uneven) + (0.16 + 0.2 * look.worn) * m["under_eye"]
+    melanin = (0.025 * broad + 0.02 * middle) * (1 + 2 * uneven)
+    melanin += (0.16 + 0.2 * look.worn) * (1 - 0.5 * womanly) * m["under_eye"]
     melanin += 0.10 * m["lid"] + (0.10 + 0.25 * look.darkness) * m["lips"] - 0.04 * m["neck"]
     shade = 0.9 * m["lip_line"] * m["lips"] + 0.9 * np.clip(1 - m["open"] / 0.55, 0, 1) * (1 - m["mouth"])
-    shade += _LINED * max(look.feminine - 0.5, 0) * m["rim"]
+    shade += womanly * (_LINED * m["rim"] + 0.18 * m["lid"])
     shade += look.beard * (0.34 * m["beard"] + 0.1 * m["moustache"]) * (0.5 + 0.5 * light)
     if look.worn and TILES[tile] == "face":
         shade += _GROOVE * np.maximum(-_sagging(look, 512 // step), 0)
