@@ -100,7 +100,10 @@ def test_another_order_is_none(plain: FaceParts) -> None:
 
 
 def test_joints_of_other_names_are_found_by_their_place() -> None:
-    """Also where the source lies turned and is larger; the warning names them. This jaw is 2.6 mm off its place, of 3."""
+    """Also where the source lies turned and is larger; the warning names them.
+
+    This person's jaw is 2.6 mm off its place, of 3.
+    """
     other = person(3)
     joints, plain = other.skeleton.joints, blend(person(0), other)[0]
     number = next(i for i, joint in enumerate(joints) if joint.endswith("jaw"))
