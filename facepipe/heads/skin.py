@@ -58,7 +58,7 @@ _LINED = 1.1  # darkening of the lids' rims, where lashes are full
 _GROOVE = 2.0  # darkening in the depth of folds, for each cm
 _SHADE = np.array([0.75, 0.95, 1.0])
 _CARUNCLE = np.array([0.55, 0.25, 0.22])
-_RIM = np.array([0.74, 0.45, 0.41])  # of the lower lid, where tears lie along the eyeball
+_RIM = np.array([0.78, 0.47, 0.43])  # of the lower lid, where tears lie along the eyeball
 _TEARS = 0.05  # cm that they stand up along the eyeball
 _FLESH = np.array([0.52, 0.20, 0.18])
 
