@@ -198,9 +198,9 @@ _STYLES = {  # share of women and of men; hairlines recede by age
 _BEARDS = {"stubble": 0.66, "moustache": 0.06, "goatee": 0.1, "full": 0.18}  # share of men
 _SHAVEN = 0.15  # how much a man's beard shows at least
 _BROWS = {  # share of women and of men
-    "soft": (0.45, 0.5),
-    "arched": (0.5, 0.02),
-    "straight": (0.05, 0.48),
+    "soft": (0.55, 0.5),
+    "arched": (0.45, 0.02),
+    "straight": (0.0, 0.48),
 }
 _CURLED = ("coils", "afro")
 _RECEDES = (0.01, 0.4)  # share of men whose hairline has receded at the youngest and at the oldest
@@ -302,12 +302,12 @@ def _look(random: np.random.Generator, seed: int, sex: float, years: float, *, d
         grey=float(np.clip(turned, 0.0, 1.0)),
         style=_pick(random, shares),
         redness=float(random.uniform(0.2, 0.8)),
-        lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
+        lips=float(random.uniform(0.3, 0.7) - 0.25 * sex),
         age=age,
         feminine=float(np.clip(0.5 - 0.5 * sex / _TYPICAL, 0.0, 1.0)),
         freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
         beard=float(_SHAVEN + (1 - _SHAVEN) * random.beta(1.2, 1.6) if as_man else 0.0),
-        brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
+        brows=float(np.clip(random.normal(0.5 + 0.25 * sex, 0.18), 0.0, 1.0)),
         whiskers=_pick(random, _BEARDS) if as_man else "stubble",
     )
     found = replace(found, brow_shape=_pick(random, {name: share[as_man] for name, share in _BROWS.items()}))
