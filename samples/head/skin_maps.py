@@ -142,7 +142,9 @@ def masks(template: Template) -> dict[str, Array]:
         "lid": step(1.5, 0.45, rim) * (1 - inside) * np.where(y > 3.4, 1, 0.55),
         "rim": step(0.40, 0.24, rim) * (1 - inside),
         "socket": socket,
+        # the mesh bulges at the inner corner, between where the upper lid's margin ends and where the lower one's does
         "caruncle": step(0.4, 0.75, bump(p, (2.0, 3.34, 9.16), (0.17, 0.21, 0.3))) * (1 - inside),
+        # the lower margin out to its edge: from the front, its inner part is behind it
         "wet_line": step(0.38, 0.28, rim) * step(3.42, 3.34, y) * (1 - inside),
         "ears": ear,
         "forehead": bump(p, (0.0, 9.0, 10.0), (5.0, 2.6, 4.0)),
