@@ -53,15 +53,26 @@ def _outlines(points: FloatArray, loops: list[IntArray], x: FloatArray) -> Float
 
 
 def _overlap(upper: FloatArray, lower: FloatArray) -> FloatArray:
-    """(k,) how far lips go into one another at each of k places, by the outlines (2, loops, k) of both."""
-    back, front = (pick(np.stack([upper[1], lower[1]]), axis=1) for pick in (np.min, np.max))
-    low, high = back.max(axis=0), front.min(axis=0)
-    found = np.full(len(low), -np.inf)
-    for place in np.flatnonzero(high > low):
-        depths = np.linspace(low[place], high[place], _DEPTHS)
-        (above, its_depths), (below, other_depths) = upper[..., place], lower[..., place]
-        found[place] = np.max(np.interp(depths, other_depths, below) - np.interp(depths, its_depths, above))
-    return found
+    """(k,) how far lips go into one another at each of k places, by the outlines (2, loops, k) of both.
+
+    Loops do not follow one another from back to front where a lip rolls, as lips do towards their corners: 0.7 mm of
+    somebody's was not seen when they were taken to.
+    """
+    depths = np.stack([upper[1], lower[1]])
+    low, high = depths.min(axis=1).max(axis=0), depths.max(axis=1).min(axis=0)
+    at = np.linspace(low, high, _DEPTHS)[:, None]
+    into = np.fmax.reduce(_heights(lower, at), axis=1) - np.fmin.reduce(_heights(upper, at), axis=1)
+    return np.where(high > low, np.fmax(np.fmax.reduce(into), -np.inf), -np.inf)
+
+
+def _heights(outline: FloatArray, at: FloatArray) -> FloatArray:
+    """(depths, loops - 1, k) heights of what joins loops of an outline (2, loops, k), at depths (depths, 1, k); NaN
+    where it does not reach them."""
+    height, depth = outline
+    run = np.diff(depth, axis=0)
+    share = (at - depth[:-1]) / np.where(run == 0.0, np.nan, run)
+    reached = (share >= 0.0) & (share <= 1.0)
+    return np.where(reached, height[:-1] + share * np.diff(height, axis=0), np.nan)
 
 
 @cache
