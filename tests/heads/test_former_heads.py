@@ -8,16 +8,16 @@ from pathlib import Path
 import gltf_reader
 import numpy as np
 import pytest
+from shared_lids import LOOKS, with_shared_lids
 
 import facepipe
-from facepipe.heads.assembly import LIDS, blendshapes_of, make_head
+from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import arrays, asset
 from facepipe.heads.people import Look, draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts
 from facepipe.stage import save_parts
 
-LOOKS = tuple(name for name in LIDS if "Blink" not in name)
 KEPT = ("eyeLookDownLeft", "eyeSquintRight", "eyeBlinkLeft", "jawOpen", "mouthClose")
 
 
@@ -31,13 +31,7 @@ def few(parts: FaceParts) -> FaceParts:
 
 def former(seed: int) -> FaceParts:
     """A person as those stages hold one: the modes' lips, and looks and squints of the package."""
-    parts = make_head(draw(seed).identity, closed=False)
-    skin, *others = parts.meshes
-    shared = {
-        one.name: one for one in blendshapes_of(asset().parts["Head"], {name: asset().shapes[name] for name in LOOKS})
-    }
-    skin = replace(skin, blendshapes=tuple(shared.get(one.name, one) for one in skin.blendshapes))
-    return few(replace(parts, meshes=(skin, *others)))
+    return few(with_shared_lids(make_head(draw(seed).identity, closed=False)))
 
 
 def offsets(parts: FaceParts, name: str) -> np.ndarray:

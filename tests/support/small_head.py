@@ -10,11 +10,10 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from shared_lids import with_shared_lids
 
 from facepipe import heads
 from facepipe.core.arrays import IntArray
-from facepipe.heads.assembly import BLINKS, LIDS, blendshapes_of
-from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build
 from facepipe.verbs.lod.decimate import Surface, Wedges, mesh_of, wedges_of
@@ -60,12 +59,7 @@ def _level() -> Sequence[tuple[Wedges, IntArray]]:
     Lids are decimated as all people would share them: those of one person differ in the last digits from machine to
     machine, and other triangles follow.
     """
-    parts = heads.make(controls="bones")
-    shared = {name: asset().shapes[name] for name in LIDS if name not in BLINKS}
-    made = {one.name: one for one in blendshapes_of(asset().parts["Head"], shared)}
-    skin, *others = parts.meshes
-    blendshapes = tuple(made.get(one.name, one) for one in skin.blendshapes)
-    parts = replace(parts, meshes=(replace(skin, blendshapes=blendshapes), *others))
+    parts = with_shared_lids(heads.make(controls="bones"))
     surface = Surface(parts, build(parts))
     level = surface.level(_TRIANGLES, _SKIN_SHARE, surface.full)
     wedges = [wedges_of(mesh) for mesh in parts.meshes]
