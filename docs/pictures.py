@@ -330,6 +330,27 @@ def three(folder: Path) -> Image.Image:
 
 
 @of_docs
+def hair(folder: Path) -> Image.Image:
+    """Hair from the front, the side and behind, in facepipe's pictures, in three.js and in Babylon.js."""
+    bald, drawn = bare(make_head(np.zeros(MODES))), []
+    views: tuple[View, ...] = ("front", "side", (np.pi, 0.0))
+    for style, colour, tone in (("crop", "brown", 3), ("bob", "red", 1), ("long", "dark", 5), ("afro", "black", 8)):
+        parts = replace(dressed(bald, Look(tone=tone, style=style, hair=colour), 1024), animations=(), sliders=())
+        face, glb = Face.from_parts(parts), f"{style}.glb"
+        facepipe.export(face, folder / glb)
+        cameras = [close_camera(face, 220, view, 4.0) for view in views]
+        cells = [{"file": glb, **in_three(camera, face.meters_per_unit)} for camera in cameras]
+        own = [picture(parts, None, options(220, camera=camera)) for camera in cameras]
+        for program, pictures in (
+            ("facepipe", own),
+            ("three.js", in_browser(folder, cells, 220)),
+            ("Babylon.js", in_browser(folder, cells, 220, BABYLON)),
+        ):
+            drawn += zip((f"{style}, {program}", "", ""), pictures, strict=True)
+    return contact_sheet(drawn, columns=9)
+
+
+@of_docs
 def wrinkles(folder: Path) -> Image.Image:
     """Expressions without and with wrinkles, in facepipe's pictures and in three.js, which the viewer's page runs."""
     moods = {
@@ -375,7 +396,7 @@ WITH_AND_WITHOUT = """(async () => {
   sheet.style = "position:fixed;inset:0;z-index:9";
   document.body.append(sheet);
 })()"""
-WRINKLED = 12  # seed of who is drawn
+WRINKLED = 24  # seed of who is drawn
 
 
 @of_docs
@@ -575,15 +596,15 @@ def in_three(camera: Camera, meters: float) -> dict[str, Any]:
     return {"eye": eye.tolist(), "at": (eye - camera.axes[2]).tolist(), "angle": float(angle)}
 
 
-def in_browser(folder: Path, cells: list[dict[str, Any]], size: int) -> list[Image.Image]:
-    """Square pictures of GLBs and VRMs in the folder, as three.js and three-vrm draw them."""
+def in_browser(folder: Path, cells: list[dict[str, Any]], size: int, page: str = "") -> list[Image.Image]:
+    """Square pictures of GLBs and VRMs in the folder, as three.js and three-vrm, or another page, draw them."""
     given, size = size, 2 * size  # hair with an alpha test is ragged at one sample a pixel
     columns, shot = min(len(cells), 6), folder / "shot.png"
     rows = -(-len(cells) // columns)
     if not (folder / "node_modules").exists():
         (folder / "node_modules").symlink_to(SCRIPTS / "node_modules")
     request = json.dumps({"cells": cells, "size": size, "columns": columns, "rows": rows})
-    (folder / "index.html").write_text(PAGE.replace("REQUEST", request))
+    (folder / "index.html").write_text((page or PAGE).replace("REQUEST", request))
     with served(folder) as url:
         browse(url, (size * columns, size * rows), [{"wait": "body[data-state]"}, {"picture": str(shot)}])
     image, corners = Image.open(shot), (divmod(number, columns) for number in range(len(cells)))
@@ -643,6 +664,53 @@ for (const [i, cell] of cells.entries()) {
   renderer.setViewport(...place);
   renderer.setScissor(...place);
   renderer.render(scene, camera);
+}
+document.body.dataset.state = "ready";
+</script>"""
+
+BABYLON = """<!doctype html><link rel="icon" href="data:,"><style>body{margin:0;overflow:hidden}</style>
+<script type="importmap">{"imports": {"@babylonjs/core/": "./node_modules/@babylonjs/core/",
+"@babylonjs/loaders/": "./node_modules/@babylonjs/loaders/"}}</script>
+<script type="module">
+import { FreeCamera } from "@babylonjs/core/Cameras/freeCamera.js";
+import { Engine } from "@babylonjs/core/Engines/engine.js";
+import { DirectionalLight } from "@babylonjs/core/Lights/directionalLight.js";
+import { HemisphericLight } from "@babylonjs/core/Lights/hemisphericLight.js";
+import { LoadAssetContainerAsync } from "@babylonjs/core/Loading/sceneLoader.js";
+import { Color3, Color4 } from "@babylonjs/core/Maths/math.color.js";
+import { Viewport } from "@babylonjs/core/Maths/math.viewport.js";
+import { Vector3 } from "@babylonjs/core/Maths/math.vector.js";
+import { Scene } from "@babylonjs/core/scene.js";
+import "@babylonjs/core/Materials/Textures/Loaders/index.js";
+import "@babylonjs/loaders/glTF/2.0/index.js";
+const { cells, size, columns, rows } = REQUEST;
+const canvas = Object.assign(document.createElement("canvas"), { width: size * columns, height: size * rows });
+document.body.append(canvas);
+const engine = new Engine(canvas, true, { preserveDrawingBuffer: true });
+const scene = new Scene(engine);
+scene.useRightHandedSystem = true;
+scene.autoClear = false;
+scene.imageProcessingConfiguration.toneMappingEnabled = true;
+scene.imageProcessingConfiguration.toneMappingType = 1; // ACES
+const sky = new HemisphericLight("sky", new Vector3(0, 1, 0.3), scene);
+sky.intensity = 1.6;
+sky.groundColor = new Color3(0.5, 0.48, 0.45);
+new DirectionalLight("key", new Vector3(1, -1.5, -2), scene).intensity = 2.5;
+const loaded = {};
+engine.clear(new Color4(0.77, 0.79, 0.82, 1), true, true);
+for (const [i, cell] of cells.entries()) {
+  loaded[cell.file] ??= await LoadAssetContainerAsync(cell.file, scene);
+  loaded[cell.file].addAllToScene();
+  const camera = new FreeCamera(`camera${i}`, new Vector3(...cell.eye), scene);
+  camera.setTarget(new Vector3(...cell.at));
+  camera.fov = (cell.angle * Math.PI) / 180;
+  [camera.minZ, camera.maxZ] = [0.01, 20];
+  const row = rows - 1 - Math.floor(i / columns);
+  camera.viewport = new Viewport((i % columns) / columns, row / rows, 1 / columns, 1 / rows);
+  scene.activeCamera = camera;
+  await scene.whenReadyAsync();
+  scene.render();
+  loaded[cell.file].removeAllFromScene();
 }
 document.body.dataset.state = "ready";
 </script>"""
