@@ -3,7 +3,7 @@
 Two people of the head in the box each, a share of 0, of 1 or between for every region, at rest and in ARKit's 52
 shapes. By teeth, gums and lips the skin that counts is what rays meet with pressed lips, by eyeballs all around them.
 Its depth is the exact distance to the nearest place of the part, inside by the normal there: code that the blend's own
-measure has no part in. That of lips is how far the winding number of the face below them says that flesh laps over.
+measure has no part in. That of lips is the shortest way back to where the face's winding number says no flesh laps.
 
 example: python benchmarks/blend_contacts.py --blends 30 --json out.json
 """
@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,8 @@ BOUNDS = {
 }  # mm over the deeper source
 EYEBALLS, MOUTH = ("EyeballLeft", "EyeballRight"), ("Teeth", "GumsAndTongue")
 _STEP_MM, _DEEPEST_MM = 0.1, 6.0  # of the depth of lips
+_WAYS = unit_vectors(np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]))  # (26, 3) all around
+_WITHIN = np.cos(np.radians(45.0))  # of straight back
 _OFF_MM = 0.02  # from skin, where it is asked whether that lies in flesh
 _BEHIND_MM = 12.0  # of a part: skin farther away is not looked at
 
@@ -164,13 +167,25 @@ def _lips(session: BlendSession, solution: Solution, skin: IntArray, outer: IntA
 
 
 def _in_flesh(points: FloatArray, watched: IntArray, skin: IntArray) -> float:
-    """mm that skin at the worst of some points lies in flesh of the face: as far as this laps over itself below."""
-    normals, numbers = point_normals(points, skin)[watched], WindingNumbers(points, skin)
-    rows, depth = np.flatnonzero(numbers.at(points[watched] + _OFF_MM * normals) > 0.5), 0.0
-    while depth < _DEEPEST_MM:
-        rows = rows[numbers.at(points[watched[rows]] - (depth + _STEP_MM) * normals[rows]) > 1.5]
-        if not len(rows):
-            break
+    """mm that skin at the worst of some points lies in flesh of the face: the shortest way back to where none laps.
+
+    Straight back alone grazes: 6 mm at a place 0.3 mm from the other lip's surface.
+    """
+    places, inward, numbers = points[watched], -point_normals(points, skin)[watched], WindingNumbers(points, skin)
+    deep = np.flatnonzero(numbers.at(places - _OFF_MM * inward) > 0.5)
+    straight = [_way_back(numbers, places[row], inward[row], _DEEPEST_MM) for row in deep]
+    found = 0.0
+    for far, row in sorted(zip(straight, deep.tolist(), strict=True), reverse=True):
+        for way in _WAYS[_WAYS @ inward[row] > _WITHIN] if far > found else ():
+            far = min(far, _way_back(numbers, places[row], way, far))
+        found = max(found, far)
+    return found
+
+
+def _way_back(numbers: WindingNumbers, place: FloatArray, way: FloatArray, most: float) -> float:
+    """mm from a place (3,) along a unit vector to where no flesh laps over itself, up to `most`."""
+    depth = 0.0
+    while depth < most and numbers.at((place + (depth + _STEP_MM) * way)[None])[0] > 1.5:
         depth += _STEP_MM
     return depth
 

@@ -122,7 +122,8 @@ class Surface:
         beyond = np.einsum("mi,mi->m", points[rows] - self._points[nearest[rows]], self._normals[nearest[rows]])
         rows = rows[beyond < self._spacing[nearest[rows]]]  # what is clearly outside of the plane there takes long
         depths, ways, beside = self._depths(points[rows])
-        inside = (depths > self._off if self.body.soft else depths > 0) & ~beside
+        # a lip goes on beyond its border, where lips are joined: whether there is flesh, winding numbers say
+        inside = depths > self._off if self.body.soft else (depths > 0) & ~beside
         if normals is not None:
             inside &= np.einsum("mi,mi->m", ways, normals[rows]) < 0  # lips face each other
             inside[inside] = self._in_flesh(points[rows[inside]], normals[rows[inside]])
@@ -154,7 +155,7 @@ class Surface:
 
     def _depths(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """(m,) how deep `points` (m, 3) lie below the nearest place of the surface, (m, 3) the way out there, and
-        whether (m,) it is on the border of an open surface, beside which nothing is inside.
+        whether (m,) it is on the border of an open surface, beside which nothing is inside what is hard.
 
         By the planes at its nearest points alone, a tooth's edge let lips 0.8 mm deeper than in any source.
         """

@@ -307,3 +307,19 @@ def test_skin_lies_in_a_lip_only_inside_its_flesh() -> None:
     assert not depths[clear & ~inside].any()
     np.testing.assert_array_equal(depths[clear & inside], without[clear & inside])
     assert depths[clear & inside].min() > 0
+
+
+def test_flesh_that_ends_beyond_what_is_known_of_a_lip_is_found() -> None:
+    """At a corner of the mouth lips are joined: the nearest place of the other is the border of what is only its own."""
+    points, flesh = wedge(0.6)
+    one_wall = np.flatnonzero((points[:, 1] <= 1e-9) & (points[:, 0] > 2.0))
+    place = np.full(len(points), -1)
+    place[one_wall] = np.arange(len(one_wall))
+    wall = place[flesh][(place[flesh] >= 0).all(axis=1)]
+    surface = Surface(Body("lip", one_wall, wall, np.zeros(0, np.int64), flesh=flesh), points, None, 1.0)
+    asked = np.random.default_rng(5).uniform((1.5, -1.0, -5.0), (2.0, 1.0, 5.0), (200, 3))
+    high = np.abs(asked[:, 1]) - asked[:, 0] * np.tan(0.3)
+    upward = np.tile((0.0, 1.0, 0.0), (len(asked), 1))
+    found = np.isin(np.arange(len(asked)), surface.touching(asked, upward).rows)
+    assert found[high < -0.05].all()
+    assert not found[high > 0.05].any()
