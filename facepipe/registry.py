@@ -103,6 +103,12 @@ class Importer(Protocol):
         :raises FacepipeError: a source or option that can't be used
         """
 
+    def contents(self, source: Path) -> dict[str, Any]:
+        """What a file is made of, as `facepipe_gltf.read.contents` says it; an importer may leave this out.
+
+        :raises InputError: a file that can't be read
+        """
+
 
 @functools.cache
 def manifest() -> dict[str, Any]:

@@ -65,6 +65,19 @@ def kind_of(path: str | Path) -> str:
     return known[suffix]
 
 
+def contents_of(path: str | Path) -> dict[str, Any] | None:
+    """Counts and bytes of what is in a file; None of a stage, and of files whose importer doesn't say.
+
+    :raises InputError: no such file, one that can't be read, or no importer for it
+    """
+    from facepipe.stage.files import SUFFIXES
+
+    if Path(path).suffix.lower() in SUFFIXES:
+        return None
+    module = importer(kind_of(path))
+    return module.contents(Path(path)) if hasattr(module, "contents") else None
+
+
 def read_face(path: str | Path, kind: str | None = None, options: object | None = None) -> Face:
     """The face of any file: opened where it is USD, else imported into memory.
 

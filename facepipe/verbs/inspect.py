@@ -1,12 +1,13 @@
 """Show what a face holds: meshes, joints, shapes, regions, landmarks, animations, materials, sliders, neural rig.
 
 example: facepipe inspect head.usda
+example: facepipe inspect head.glb
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,7 @@ class InspectReport(Report):
     attribution: str
     recipe: str | None  # its verb
     neural_rig: Mapping[str, str] | None  # file, state
+    file: Mapping[str, Any] | None = None  # what a file that is no stage is made of: counts and bytes
 
     def as_text(self, out: Path) -> str:
         """The report as tables for people."""
@@ -79,7 +81,7 @@ class InspectReport(Report):
         ]
         width = max(len(name) for name, _ in facts)
         lines = [f"{name:{width}}  {text}" for name, text in facts]
-        return "\n".join([self.face, "", table(rows), "", *lines])
+        return "\n".join([self.face, "", table(rows), "", *lines, *(_file_lines(self.file) if self.file else ())])
 
 
 @action("inspect", "show what a face holds")
@@ -90,9 +92,9 @@ class Inspect(Inspector[InspectReport]):
     face: Path = source("face stage")
 
     def look(self, watch: Watch) -> InspectReport:
-        from facepipe.importers import read_face
+        from facepipe.importers import contents_of, read_face
 
-        return report_of(read_face(self.face))
+        return replace(report_of(read_face(self.face)), file=contents_of(self.face))
 
 
 def report_of(face: Face) -> InspectReport:
@@ -151,6 +153,24 @@ def report_of(face: Face) -> InspectReport:
         neural_rig=neural_rig,
         warnings=tuple(implausible(parts)),
     )
+
+
+def _file_lines(file: Mapping[str, Any]) -> list[str]:
+    """What a file is made of, as a table of its parts and a line on the rest."""
+    counts, parts = ("vertices", "triangles", "primitives", "targets"), file["parts"]
+    rows: list[Any] = [["part", *counts, "kB", "kB of targets"]]
+    for name, part in parts.items():
+        sizes = [_kilobytes(part[key]) for key in ("geometry", "target_bytes")]
+        rows.append([name, *(part[key] for key in counts), *sizes])
+    sizes = [_kilobytes(sum(part[key] for part in parts.values())) for key in ("geometry", "target_bytes")]
+    rows.append(["in all", *(file[key] for key in counts), *sizes])
+    rest = [f"{name} {_kilobytes(file[name])}" for name in ("textures", "animations", "skins", "json", "other")]
+    held = f"{file['materials']} materials, {file['images']} images"
+    return ["", table(rows), "", f"file: {_kilobytes(file['bytes'])} kB, {held}; kB of {', '.join(rest)}"]
+
+
+def _kilobytes(size: int) -> str:
+    return f"{size / 1000:,.0f}"
 
 
 def _listing(names: tuple[str, ...]) -> str:

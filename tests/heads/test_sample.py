@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from facepipe_gltf import export
+from facepipe_gltf.read import contents
+from gltf_export import Parts
 
 import facepipe
 from facepipe.checks import validate
@@ -162,3 +165,15 @@ def test_the_recipe_holds_the_age_and_the_sex_that_were_asked_for() -> None:
 def test_a_seed_below_zero_is_refused() -> None:
     with pytest.raises(InputError, match="seed: is -1, expected 0 or more"):
         make(-1)
+
+
+def test_what_an_export_of_a_head_is_made_of(tmp_path: Path) -> None:
+    """No more of anything than measured, so that the head that ships does not grow unseen."""
+    found = contents(export(Parts(sample(24)), tmp_path / "head.glb").path)
+    assert found["primitives"] <= 12
+    assert found["materials"] <= 10
+    assert found["targets"] <= 244
+    assert found["triangles"] <= 48_836
+    assert sum(part["target_bytes"] for part in found["parts"].values()) <= 10_700_000
+    assert sum(part["geometry"] for part in found["parts"].values()) <= 1_980_000
+    assert found["json"] + found["other"] <= 235_000

@@ -277,6 +277,7 @@ class Document:
     budget: Budget = field(default_factory=lambda: Budget(_FREE_BYTES, _PER_BYTE))  # of all that data unfolds to
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # read so far
+    length: int = 0  # bytes of the file itself
     loaded: dict[int, memoryview] = field(default_factory=dict)  # buffers
     _contents: dict[Hashable, bytes] = field(default_factory=dict)  # of files beside it, by `same_file`
     unpacked: dict[str, Value] = field(default_factory=dict)  # primitives that were compressed, by their trails
@@ -310,6 +311,11 @@ class Document:
             if (mesh := node.get("mesh")) is not None and node.get("weights") is None:
                 found.setdefault(mesh.integer(), []).append(number)
         return {mesh: tuple(own) for mesh, own in found.items()}
+
+    @property
+    def whole_length(self) -> int:
+        """Bytes of the file and of those beside it that were read so far."""
+        return self.length + sum(map(len, self._contents.values()))
 
     def warn(self, value: Value | str, what: str) -> None:
         """Note something that could not be brought over, once."""
@@ -479,7 +485,7 @@ def read_document(source: Path) -> Document:
         text, binary = chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
     elif source.suffix.lower() in (".glb", ".vrm"):
         raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
-    document = Document(root=parse(text, trail), path=source, binary=binary, files=[source])
+    document = Document(root=parse(text, trail), path=source, binary=binary, files=[source], length=len(data))
     if data[:4] == _MAGIC and int.from_bytes(data[8:12], "little") < len(data):
         document.warn(document.root, "bytes beyond the length in its header are left out")
     return document
