@@ -89,7 +89,8 @@ class Databases(Protocol):
 class Importer(Protocol):
     """Reads one kind of files or folders as faces.
 
-    With ``SUFFIXES``, a tuple like ``(".glb",)``, commands that take a face take such files too.
+    With ``SUFFIXES``, a tuple like ``(".glb",)``, commands that take a face take such files too; with ``contents``, a
+    function like `facepipe_gltf.read.contents`, `inspect` prints what such a file is made of.
     """
 
     @property
@@ -101,12 +102,6 @@ class Importer(Protocol):
 
         :param options: an instance of `Options`
         :raises FacepipeError: a source or option that can't be used
-        """
-
-    def contents(self, source: Path) -> dict[str, Any]:
-        """What a file is made of, as `facepipe_gltf.read.contents` says it; an importer may leave this out.
-
-        :raises InputError: a file that can't be read
         """
 
 

@@ -74,8 +74,8 @@ def contents_of(path: str | Path) -> dict[str, Any] | None:
 
     if Path(path).suffix.lower() in SUFFIXES:
         return None
-    module = importer(kind_of(path))
-    return module.contents(Path(path)) if hasattr(module, "contents") else None
+    contents = getattr(importer(kind_of(path)), "contents", None)
+    return None if contents is None else contents(Path(path))
 
 
 def read_face(path: str | Path, kind: str | None = None, options: object | None = None) -> Face:

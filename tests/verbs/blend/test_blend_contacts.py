@@ -310,7 +310,7 @@ def test_skin_lies_in_a_lip_only_inside_its_flesh() -> None:
 
 
 def test_flesh_that_ends_beyond_what_is_known_of_a_lip_is_found() -> None:
-    """At a corner of the mouth lips are joined: the nearest place of the other is the border of what is only its own."""
+    """At corners of the mouth lips are joined: the nearest place of the other is its border."""
     points, flesh = wedge(0.6)
     one_wall = np.flatnonzero((points[:, 1] <= 1e-9) & (points[:, 0] > 2.0))
     place = np.full(len(points), -1)
