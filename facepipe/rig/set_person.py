@@ -33,6 +33,7 @@ from facepipe.rig.bone_coefficients import (
     rest_coefficients,
 )
 from facepipe.rig.rig import Rig, build, curves, inverse
+from facepipe.rig.set_error import SetError, Side, set_error
 from facepipe.rig.sliders import (
     channel_entries,
     clamped_value,
@@ -52,11 +53,6 @@ _KNOTS_APART = 1e-6  # of weights: nearer knots are one
 _NO_GAIN = 1e-9  # of gains
 _EXACT_TRANSFORM = 1e-9
 _FLAT_SIZE = 1e-12  # of a joint's size, in one direction beside the others: there is no way back
-RANDOM_POSES = 50
-_POSE_TURN = 0.2  # radians
-_POSE_MOVE_MM = 1.0
-_SHAPES_A_POSE = 3  # on in each pose
-_POSE_SEED = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -474,74 +470,6 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         person=None,
     )
     where = " in the joints" if in_joints else ""
-    error = set_error(rig, build(result), person, stretch, parts, result)
+    before, after = Side(rig, person.weights, person.matrices), Side(build(result), {})
+    error = set_error(before, after, stretch, parts, result)
     return SetFace(parts=result, pose=person.description + where, error=error, stretch=stretch)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SetError:
-    """Distances between points in mm, over all shapes at 1 and random poses of all joints within their limits."""
-
-    mean_mm: float  # of the points' largest distances
-    max_mm: float
-    shapes: int
-    poses: int
-    sliders_max_mm: float  # over random settings of the sliders, within their ranges; 0 without sliders
-
-
-def set_error(
-    before: Rig, after: Rig, person: Person, stretch: FloatArray, parts: FaceParts, result: FaceParts
-) -> SetError:
-    """Compare both rigs, each shape at 1 and each pose of joints and shapes on top of the person.
-
-    :param parts: that `before` was built of
-    :param result: that `after` was built of
-    """
-    largest = np.zeros(len(before.points))
-    shapes = [({name: 1.0}, rest_coefficients(len(before.joints))) for name in before.shapes]
-    poses = random_poses(before, parts)
-    for weights, expression in [*shapes, *poses]:
-        together = person.weights_under(weights)
-        exact = before.evaluate(together, joint_transforms=before.rest @ person.under(expression))
-        # new joints lack the person's scales, which stretched an expression's translations
-        change = coefficient_matrices(expression)
-        change[:, :3, 3] = np.einsum("jab,jb->ja", stretch, change[:, :3, 3])
-        moved = after.evaluate(weights, joint_transforms=after.rest @ change)
-        np.maximum(largest, np.linalg.norm(moved - exact, axis=1), out=largest)
-    largest *= 1000 * parts.meters_per_unit
-    random, farthest = np.random.default_rng(_POSE_SEED), 0.0
-    for _ in range(RANDOM_POSES if parts.sliders else 0):
-        values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
-        as_before, as_after = (
-            rig.evaluate(weights, coefficients=coefficients)
-            for rig, (coefficients, weights) in (
-                (before, slide(parts.sliders, before.joints, values, parts.slider_network)),
-                (after, slide(result.sliders, after.joints, values, result.slider_network)),
-            )
-        )
-        farthest = max(farthest, float(np.linalg.norm(as_after - as_before, axis=1).max(initial=0.0)))
-    return SetError(
-        mean_mm=float(largest.mean()) if len(largest) else 0.0,
-        max_mm=float(largest.max(initial=0.0)),
-        shapes=len(shapes),
-        poses=len(poses),
-        sliders_max_mm=1000 * parts.meters_per_unit * farthest,
-    )
-
-
-def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], FloatArray]]:
-    """Shape weights and bone coefficients (j, 9) of random poses: up to 0.2 radians and 1 mm within the limits."""
-    random = np.random.default_rng(_POSE_SEED)
-    reach = np.zeros(9)
-    reach[:3], reach[3:6] = _POSE_MOVE_MM / (1000 * parts.meters_per_unit), _POSE_TURN
-    rest = rest_coefficients(len(rig.joints))
-    low, high = rest - reach, rest + reach
-    if parts.bone_limits is not None:
-        low, high = np.maximum(low, parts.bone_limits.lower), np.minimum(high, parts.bone_limits.upper)
-        low, high = np.minimum(low, rest), np.maximum(high, rest)
-    poses: list[tuple[dict[str, float], FloatArray]] = []
-    for _ in range(RANDOM_POSES):
-        chosen = random.permutation(len(rig.shapes))[:_SHAPES_A_POSE]
-        weights = {rig.shapes[i]: float(random.random()) for i in chosen}
-        poses.append((weights, low + random.random(rest.shape) * (high - low)))
-    return poses

@@ -40,7 +40,8 @@ from facepipe.rig import (
     set_face,
     slide,
 )
-from facepipe.rig.set_person import _rotations, random_poses, set_mesh
+from facepipe.rig.set_error import random_poses
+from facepipe.rig.set_person import _rotations, set_mesh
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]

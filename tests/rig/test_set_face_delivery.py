@@ -26,7 +26,7 @@ from with_torch import torch
 import facepipe
 from facepipe.parts import FaceParts
 from facepipe.rig import SetFace, coefficient_matrices, rest_coefficients, set_face
-from facepipe.rig.set_person import random_poses
+from facepipe.rig.set_error import random_poses
 from facepipe.stage import Face, save_parts
 
 pytestmark = [pytest.mark.needs_torch, pytest.mark.gate, pytest.mark.slow]
