@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.parts import FaceParts
 from facepipe.rig.bone_coefficients import coefficient_matrices, rest_coefficients
 from facepipe.rig.rig import Rig
@@ -45,7 +45,7 @@ def set_error(before: Side, after: Side, stretch: FloatArray, parts: FaceParts, 
     sides, whole = (before, after), slice(None)
     largest = np.linalg.norm(np.subtract(*(side.at_rest(side.points, whole) for side in sides)), axis=1)
     for name in before.rig.shapes:
-        rows = np.unique(np.concatenate([side.moved_by({name: 1.0}) for side in sides]))
+        rows = np.flatnonzero(np.any([side.moved_by({name: 1.0}) for side in sides], axis=0))
         apart = np.subtract(*(side.at_rest(side.morphed({name: 1.0}), rows) for side in sides))
         largest[rows] = np.maximum(largest[rows], np.linalg.norm(apart, axis=1))
     poses = random_poses(before.rig, parts)
@@ -86,10 +86,12 @@ class Side:
         change = self.rig.activations(self._person + self.rig.weight_vector(weights)) - self._on
         return ((int(number), float(change[number])) for number in np.flatnonzero(change))
 
-    def moved_by(self, weights: Mapping[str, float]) -> IntArray:
-        """Points that weights on top of the person move."""
-        found = [self.rig.targets[number].point_indices for number, _ in self._changed(weights)]
-        return np.concatenate([np.zeros(0, np.int64), *found])
+    def moved_by(self, weights: Mapping[str, float]) -> BoolArray:
+        """(n,) points that weights on top of the person move."""
+        moved = np.zeros(len(self.points), bool)
+        for number, _ in self._changed(weights):
+            moved[self.rig.targets[number].point_indices] = True
+        return moved
 
     def morphed(self, weights: Mapping[str, float]) -> FloatArray:
         """(n, 3) points of weights on top of the person, before skinning."""

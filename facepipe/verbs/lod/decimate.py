@@ -205,12 +205,13 @@ def _lengthwise(count: int, triangles: IntArray, card: IntArray) -> FloatArray:
     """(count,) how far along its card a point is: the slowest vibration of the card's edges (Fiedler 1973)."""
     along = np.zeros(count)
     order = np.argsort(card, kind="stable")
-    for rows in np.split(triangles[order], np.flatnonzero(np.diff(card[order])) + 1):
-        points, corners = np.unique(rows, return_inverse=True)
-        corners = corners.reshape(-1, 3)
-        joined = np.zeros((len(points), len(points)))
-        joined[corners, np.roll(corners, 1, axis=1)] = joined[np.roll(corners, 1, axis=1), corners] = 1.0
-        along[points] = np.linalg.eigh(np.diag(joined.sum(axis=1)) - joined)[1][:, 1]
+    with one_thread():  # many take ten times as long for matrices of 20 rows
+        for rows in np.split(triangles[order], np.flatnonzero(np.diff(card[order])) + 1):
+            points, corners = np.unique(rows, return_inverse=True)
+            corners = corners.reshape(-1, 3)
+            joined = np.zeros((len(points), len(points)))
+            joined[corners, np.roll(corners, 1, axis=1)] = joined[np.roll(corners, 1, axis=1), corners] = 1.0
+            along[points] = np.linalg.eigh(np.diag(joined.sum(axis=1)) - joined)[1][:, 1]
     return along
 
 
