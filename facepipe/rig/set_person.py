@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,7 +34,6 @@ from facepipe.rig.bone_coefficients import (
     rest_coefficients,
 )
 from facepipe.rig.rig import Rig, build, curves, inverse
-from facepipe.rig.set_error import SetError, Side, set_error
 from facepipe.rig.sliders import (
     channel_entries,
     clamped_value,
@@ -44,6 +44,9 @@ from facepipe.rig.sliders import (
     with_entries,
 )
 from facepipe.rig.trs import decompose
+
+if TYPE_CHECKING:
+    from facepipe.rig.set_error import SetError
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
 
@@ -470,6 +473,8 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         person=None,
     )
     where = " in the joints" if in_joints else ""
+    from facepipe.rig.set_error import Side, set_error  # a module that exports of a face as it is do without
+
     before, after = Side(rig, person.weights, person.matrices), Side(build(result), {})
     error = set_error(before, after, stretch, parts, result)
     return SetFace(parts=result, pose=person.description + where, error=error, stretch=stretch)
