@@ -23,7 +23,7 @@ from facepipe.verbs.blend.sources import Sources
 
 LEAST_MM = 0.02  # what is less is left as it is
 _REACH_MM = 14.0  # skin that gives way around what is pushed
-_ROUNDS = 5  # of finding contacts and pushing
+_ROUNDS = 12  # of finding contacts and pushing at most; after 5 one triangle in 30 blends of 142 shapes was turned
 _STEPS = (1.0, -0.5, -0.25, -0.25)  # all of a push, a half, a quarter, or nothing
 
 
