@@ -92,9 +92,14 @@ class Inspect(Inspector[InspectReport]):
     face: Path = source("face stage")
 
     def look(self, watch: Watch) -> InspectReport:
+        from facepipe.core.errors import InputError
         from facepipe.importers import contents_of, read_face
 
-        return replace(report_of(read_face(self.face)), file=contents_of(self.face))
+        report = report_of(read_face(self.face))
+        try:
+            return replace(report, file=contents_of(self.face))
+        except InputError as error:  # of a part that a face is read without
+            return replace(report, warnings=(*report.warnings, f"bytes are not counted: {error}"))
 
 
 def report_of(face: Face) -> InspectReport:

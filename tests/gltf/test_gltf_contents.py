@@ -98,3 +98,19 @@ def test_references_to_nothing_are_refused(tmp_path: Path) -> None:
     file.write_text(json.dumps(broken), encoding="utf-8")
     with pytest.raises(InputError, match=r"accessors\[0\].bufferView: 4, but there are 0 bufferViews"):
         contents(file)
+
+
+def test_inspect_counts_what_it_can_of_files_that_lack_something(tmp_path: Path) -> None:
+    """A missing picture has no bytes; where a clip leads to nothing, a warning says so."""
+    path = export(Parts(small_head.make()), tmp_path / "head.gltf", Options(animations=True)).path
+    json_of = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(json_of | {"images": [{"uri": "gone.png"}]}), encoding="utf-8")
+    report = facepipe.inspect(path)
+    assert report.file is not None
+    assert report.file["images"] == 1
+    assert report.file["textures"] == 0
+    json_of["animations"].append({"channels": [], "samplers": [{"input": 1_000_000, "output": 0}]})
+    path.write_text(json.dumps(json_of), encoding="utf-8")
+    report = facepipe.inspect(path)
+    assert report.file is None
+    assert any("bytes are not counted: " in line for line in report.warnings)

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+from facepipe.core.errors import InputError
 from facepipe.records import Json
 from facepipe_gltf.buffers import DRACO, MESHOPT
 from facepipe_gltf.read.accessors import element
@@ -151,11 +152,14 @@ def _view_bytes(document: Document, number: int) -> int:
 
 
 def _image_bytes(document: Document) -> list[int]:
-    """Of every image."""
+    """Of every image; 0 of one that can't be read, which faces do without."""
     found = []
     for image in document.entries("images"):
-        if (view := image.get("bufferView")) is not None:
-            found.append(_view_bytes(document, document.index("bufferViews", view)))
-        else:
-            found.append(len(document.content(image.require("uri"))))
+        try:
+            if (view := image.get("bufferView")) is not None:
+                found.append(_view_bytes(document, document.index("bufferViews", view)))
+            else:
+                found.append(len(document.content(image.require("uri"))))
+        except InputError:
+            found.append(0)
     return found
