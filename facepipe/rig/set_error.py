@@ -13,6 +13,8 @@ from facepipe.rig.bone_coefficients import coefficient_matrices, rest_coefficien
 from facepipe.rig.rig import Rig
 from facepipe.rig.sliders import slide
 
+Changes = list[tuple[int, float]]  # targets, and how much more of each is on
+
 RANDOM_POSES = 50
 _SETTINGS = 10  # of the sliders, all moved at once, which takes longest: fifty are off by 1.07 times as much at most
 _POSE_TURN = 0.2  # radians
@@ -45,8 +47,10 @@ def set_error(before: Side, after: Side, stretch: FloatArray, parts: FaceParts, 
     sides, whole = (before, after), slice(None)
     largest = np.linalg.norm(np.subtract(*(side.at_rest(side.points, whole) for side in sides)), axis=1)
     for name in before.rig.shapes:
-        rows = np.flatnonzero(np.any([side.moved_by({name: 1.0}) for side in sides], axis=0))
-        apart = np.subtract(*(side.at_rest(side.morphed({name: 1.0}), rows) for side in sides))
+        changes = [side.changes({name: 1.0}) for side in sides]
+        moved = [side.moved_by(own) for side, own in zip(sides, changes, strict=True)]
+        rows = np.flatnonzero(np.any(moved, axis=0))
+        apart = np.subtract(*(side.at_rest(side.morphed(own), rows) for side, own in zip(sides, changes, strict=True)))
         largest[rows] = np.maximum(largest[rows], np.linalg.norm(apart, axis=1))
     poses = random_poses(before.rig, parts)
     for weights, expression in poses:
@@ -81,22 +85,22 @@ class Side:
         self.points = rig.morph(self._person)  # (n, 3) of the person, before skinning
         self._blended = rig.blended(rig.skinning_matrices(self._local))
 
-    def _changed(self, weights: Mapping[str, float]) -> Iterator[tuple[int, float]]:
-        """Targets and how much more of each is on."""
+    def changes(self, weights: Mapping[str, float]) -> Changes:
+        """What weights on top of the person turn on."""
         change = self.rig.activations(self._person + self.rig.weight_vector(weights)) - self._on
-        return ((int(number), float(change[number])) for number in np.flatnonzero(change))
+        return [(int(number), float(change[number])) for number in np.flatnonzero(change)]
 
-    def moved_by(self, weights: Mapping[str, float]) -> BoolArray:
-        """(n,) points that weights on top of the person move."""
+    def moved_by(self, changes: Changes) -> BoolArray:
+        """(n,) points that they move."""
         moved = np.zeros(len(self.points), bool)
-        for number, _ in self._changed(weights):
+        for number, _ in changes:
             moved[self.rig.targets[number].point_indices] = True
         return moved
 
-    def morphed(self, weights: Mapping[str, float]) -> FloatArray:
-        """(n, 3) points of weights on top of the person, before skinning."""
+    def morphed(self, changes: Changes) -> FloatArray:
+        """(n, 3) points with them on top of the person, before skinning."""
         points = self.points.copy()
-        for number, change in self._changed(weights):
+        for number, change in changes:
             target = self.rig.targets[number]
             points[target.point_indices] += change * target.offsets
         return points
@@ -108,7 +112,7 @@ class Side:
 
     def posed(self, weights: Mapping[str, float], change: FloatArray) -> FloatArray:
         """(n, 3) places of all, with the matrices (j, 4, 4) of an expression on top of the person's."""
-        return self.rig.skin(self.morphed(weights), self.rig.skinning_matrices(self._local @ change))
+        return self.rig.skin(self.morphed(self.changes(weights)), self.rig.skinning_matrices(self._local @ change))
 
 
 def _apart_with_sliders(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> Iterator[float]:
