@@ -102,7 +102,7 @@ def test_another_order_is_none(plain: FaceParts) -> None:
 def test_joints_of_other_names_are_found_by_their_place() -> None:
     """Also where the source lies turned and is larger; the warning names them.
 
-    This person's jaw is 2.6 mm off its place, of 3.
+    This person's jaw is more than 3 mm off its place, and all other joints are far.
     """
     other = person(3)
     joints, plain = other.skeleton.joints, blend(person(0), other)[0]
