@@ -140,8 +140,8 @@ def bone_sliders() -> tuple[Slider, ...]:
 
 
 @cache
-def _sockets() -> tuple[Socket, ...]:
-    return tuple(Socket.of(side, _eye_ends) for side in SIDES)
+def _sockets(*, around: bool = False) -> tuple[Socket, ...]:
+    return tuple(Socket.of(side, _eye_ends, around=around) for side in SIDES)
 
 
 def _eye_ends(side: str, lids: IntArray) -> Ends:
@@ -162,13 +162,16 @@ def _eye_ends(side: str, lids: IntArray) -> Ends:
     return Ends(lids=np.array(moved), ball=np.array(ball), joints=np.array(joints))
 
 
-def _with_looks(points: FloatArray, shapes: Shapes) -> Shapes:
-    """The shapes with looks and squints that keep the lids of points (n, 3) before the eyeballs."""
+def _with_looks(points: FloatArray, shapes: Shapes, heights: FloatArray | None = None) -> Shapes:
+    """The shapes with looks and squints that keep the lids of points (n, 3) before the eyeballs.
+
+    :param heights: as of `Eye.of`
+    """
     fitted = dict(shapes)
     for side, socket in zip(SIDES, _sockets(), strict=True):
         names = {name: f"{name}{side}" for name in (*LOOKS, SQUINT)}
         own = {name: {at: ways[socket.lids] for at, ways in shapes[full].items()} for name, full in names.items()}
-        for name, ways in Eye.of(socket, points).fitted(own).items():
+        for name, ways in Eye.of(socket, points, heights).fitted(own).items():
             fitted[names[name]] = whole = {at: way.astype(np.float64) for at, way in shapes[names[name]].items()}
             for at, way in ways.items():
                 whole[at][socket.lids] = way
@@ -335,7 +338,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures", *, closed: 
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     if closed:
         points = fit_lips(points)
-    points, shapes = fit_eyes(fit_mouth(points), head.shapes)
+    points, shapes = _with_parts_fitted(points)
     shapes = _with_looks(points, shapes)
     if controls == "measures":
         shapes = {
@@ -450,7 +453,15 @@ def modes() -> FloatArray:
 @one_thread()
 def with_parts_fitted(points: FloatArray) -> FloatArray:
     """Points (n, 3) of a person in centimetres, with eyeballs that fit the lids, a mouth's inside behind the skin."""
-    return fit_eyes(fit_mouth(points), asset().shapes)[0]
+    return _with_parts_fitted(points)[0]
+
+
+def _with_parts_fitted(points: FloatArray) -> tuple[FloatArray, Shapes]:
+    """And the shapes, with blinks of theirs."""
+    points, shapes = fit_eyes(fit_mouth(points), asset().shapes)
+    for socket in _sockets(around=True):
+        points[socket.lids] = Eye.of(socket, points).cleared()
+    return points, shapes
 
 
 @one_thread()
@@ -461,7 +472,11 @@ def with_own_lids(parts: FaceParts, points: FloatArray, names: Collection[str] =
         has changed in them
     """
     known = {name: _changed(parts, name) or asset().shapes[name] for name in LIDS if name not in BLINKS}
-    shapes = _with_looks(points, {**fit_eyes(points, asset().shapes)[1], **known})
+    joints = parts.skeleton  # a fitted face's are not where `skeleton` puts them: 0.9 mm off those of lids
+    heights = None
+    if joints.joints == asset().joints:
+        heights = 100.0 * parts.meters_per_unit * np.asarray(joints.bind_transforms)[:, 1, 3]
+    shapes = _with_looks(points, {**fit_eyes(points, asset().shapes)[1], **known}, heights)
     own = {name: shapes[name] for name in names}
     meshes = []
     for mesh in parts.meshes:

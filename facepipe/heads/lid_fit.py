@@ -29,9 +29,12 @@ LOOKS: Mapping[str, tuple[float, float]] = {  # shape -> how the left eye turns 
 }
 _HALF = 0.5  # a weight at which looks are kept out of the eyeball too
 _FAR = -9.0  # cm: below all that lies over an eyeball
+_RINGS = 13  # of lids; at rest the skin around them counts too, as rings farther out
+_AROUND = 5  # of those
 # by ring, cm over the eyeball
 _LEAST = np.array([_FAR, 0.0, 0.02, 0.06, 0.10, 0.12, 0.12, 0.12, 0.12, 0.12, 0.10, _FAR, _FAR])
-_LEAST_AT_ENDS = np.array([_FAR, -0.1, -0.05, 0.01, 0.02, *6 * (0.03,), _FAR, _FAR])  # of sliders, or squinting too
+_LEAST_AT_ENDS = np.array([_FAR, -0.1, -0.05, 0.01, 0.02, *(8 + _AROUND) * (0.03,)])  # of sliders, or squinting too
+_CREASE = 5  # the first ring beyond the margin
 _SOFT = 0.01  # cm, over which points begin to be pushed
 _SPREAD = 12  # rounds in which a push spreads to the skin beside it
 _CELLS, _SIDE = 128, 1.5  # of a table of an eyeball: stereographic coordinates about its front, to plus and minus 1.5
@@ -49,9 +52,10 @@ class Ends:
 
 @dataclass(frozen=True, kw_only=True)
 class Socket:
-    """What the eyes of a side have in common: k points of lids, and the average eyeball."""
+    """What the eyes of a side have in common: k points of lids, and maybe around them, and the average eyeball."""
 
     lids: IntArray  # (k,) points
+    rings: IntArray  # (k,)
     ball: slice  # points of the eyeball
     centre: FloatArray  # (3,)
     reach: FloatArray  # (_CELLS, _CELLS) cm from the middle of the eyeball
@@ -62,19 +66,24 @@ class Socket:
     ends: Ends
 
     @classmethod
-    def of(cls, side: str, ends: Callable[[str, IntArray], Ends]) -> Socket:
+    def of(cls, side: str, ends: Callable[[str, IntArray], Ends], *, around: bool = False) -> Socket:
         """The left or the right one.
 
         :param ends: by side and lids
+        :param around: with the skin around lids
         """
         head, data, number = asset(), arrays("lids"), SIDES.index(side)
-        lids, ball = data["lids"][number], head.parts[f"Eyeball{side}"].points
+        lids, rings = data["lids"][number], data["lid_rings"]
+        if around:
+            lids, rings = _with_skin(lids, rings)
+        ball = head.parts[f"Eyeball{side}"].points
         centre = fit_ball(head.points[ball]).centre
         names = [path.rpartition("/")[2] for path in head.joints]
         joints = np.array([names.index(f"{lid}{side}") for lid in ("lidUpper", "lidLower")])
         own = head.skin_joints[lids] == joints[:, None, None]
         return cls(
             lids=lids,
+            rings=rings,
             ball=ball,
             centre=centre,
             reach=_reach(head.points[data["eye_shells"][number]] - centre),
@@ -84,6 +93,15 @@ class Socket:
             shares=(head.skin_weights[lids] * own).sum(axis=-1),
             ends=ends(side, lids),
         )
+
+
+def _with_skin(lids: IntArray, rings: IntArray) -> tuple[IntArray, IntArray]:
+    """Points (k,) of lids and their rings, and those of `_AROUND` rings more."""
+    links = asset().links()
+    for ring in range(_RINGS, _RINGS + _AROUND):
+        beyond = np.setdiff1d(np.flatnonzero(links[:, lids[rings == ring - 1]].sum(axis=1)), lids)
+        lids, rings = np.append(lids, beyond), np.append(rings, np.full(len(beyond), ring))
+    return lids, rings
 
 
 def _reach(offsets: FloatArray) -> FloatArray:
@@ -126,19 +144,33 @@ class Eye:
     joints: FloatArray  # (2,) heights of the joints of the upper lid and the lower
 
     @classmethod
-    def of(cls, socket: Socket, points: FloatArray) -> Eye:
-        """That of a person whose head has points (n, 3) in centimetres."""
+    def of(cls, socket: Socket, points: FloatArray, heights: FloatArray | None = None) -> Eye:
+        """That of a person whose head has points (n, 3) in centimetres.
+
+        :param heights: (j,) of the head's joints, where they are not where the points have them
+        """
         head, own = asset(), points[socket.ball]
         average = head.points[socket.ball]
         scale = float(own.std(axis=0).sum() / average.std(axis=0).sum())
-        places = np.einsum("jk,jk->j", head.joint_shares[socket.joints], points[head.joint_points[socket.joints], 1])
+        if heights is None:
+            heights = np.einsum("jk,jk->j", head.joint_shares, points[head.joint_points, 1])
         return cls(
             socket=socket,
             centre=own.mean(axis=0) - scale * (average.mean(axis=0) - socket.centre),
             scale=scale,
             lids=points[socket.lids],
-            joints=places,
+            joints=heights[socket.joints],
         )
+
+    def cleared(self) -> FloatArray:
+        """(k, 3) lids at rest that stay before the eyeball at the ends of sliders: the crease of a deep upper lid does
+        not, where the lid is drawn down."""
+        ahead = np.eye(3)
+        need = self._need_at_ends(np.zeros_like(self.lids), ahead)
+        push = least = np.where(self.socket.rings < _CREASE, 0.0, np.maximum(need, 0.0))
+        for _ in range(_SPREAD):
+            push = np.maximum(least, self.socket.beside @ push)
+        return self.lids + self._out(np.zeros_like(self.lids), push)
 
     def fitted(self, shapes: Mapping[str, Mapping[float, FloatArray]]) -> dict[str, dict[float, FloatArray]]:
         """Looks and the squint that keep lids before the eyeball: shape -> weight -> (k, 3) offsets."""
@@ -190,7 +222,7 @@ class Eye:
         s, t = np.moveaxis(place - cell, -1, 0)
         first, reach = cell[..., 1] * _CELLS + cell[..., 0], self.socket.reach.ravel()
         low, high = ((1 - s) * reach[first + row] + s * reach[first + row + 1] for row in (0, _CELLS))
-        return np.asarray(least[arrays("lids")["lid_rings"]] + scale * ((1 - t) * low + t * high) - lengths)
+        return np.asarray(least[self.socket.rings] + scale * ((1 - t) * low + t * high) - lengths)
 
     def _spread(self, need: FloatArray) -> FloatArray:
         """(k,) pushes of at least the need, as smooth as a skin drawn over them."""

@@ -21,7 +21,7 @@ _LOOPS = 22
 _OVER, _OVERLAP = 0.015, 0.014  # cm that lips reach over one another at least, and go into one another at most
 _UPPER = 0.75  # of what takes lips out of one another; teeth come over a lower lip that goes half of it, and rolls in
 _DEPTHS = 25  # places from front to back
-_ALONG = 151  # places along the mouth; at 75 two cells of a tooth show between them in one of 100 people
+_ALONG = 301  # places along the mouth: a cell of a tooth shows between them at 151 in one of 100 people, two at 75
 _CORNER = 0.015  # of its width from each end, where lips part from one another
 _ROUNDS = 6  # once they have moved, lips meet at other places
 

@@ -170,7 +170,7 @@ def pony(skin: Skin, rng: Any) -> tuple[Array, Array, tuple[Lock, ...]]:
 def knot(skin: Skin, rng: Any) -> tuple[Array, Array, tuple[Lock, ...]]:
     """Strands that wind about a bun."""
     count, rows = 90, 8
-    axis = unit(np.array([0.0, 0.35, -1.0]))
+    axis = unit(np.array([0.0, 0.75, -0.66]))
     side, up = np.array([1.0, 0, 0]), np.cross(axis, [1.0, 0, 0])
     middle = BUN + 2.2 * axis
     start, height = rng.uniform(0, 6.28, (count, 1)), np.sort(rng.uniform(-0.75, 1.2, (count, 1)), axis=0)
@@ -183,7 +183,7 @@ def knot(skin: Skin, rng: Any) -> tuple[Array, Array, tuple[Lock, ...]]:
     return found, np.cross(np.gradient(found, axis=1), normal), LONG[:4]
 
 
-TAIL, BUN = np.array([0.0, 8.6, -9.3]), np.array([0.0, 9.4, -8.9])
+TAIL, BUN = np.array([0.0, 8.6, -9.3]), np.array([0.0, 12.8, -6.8])
 _WISPS = Layer(count=110, locks=SHORT[4:], rows=3, width=1.0, height=0.8, spread=0.3, longest=2.0, rooted=at_hairline)
 
 

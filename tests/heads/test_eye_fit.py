@@ -13,7 +13,7 @@ from facepipe.geometry.balls import RadialSurface, fit_ball
 from facepipe.geometry.contacts import Sheet
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import make
-from facepipe.heads.assembly import make_head
+from facepipe.heads.assembly import make_head, with_parts_fitted
 from facepipe.heads.asset import arrays, asset
 from facepipe.heads.part_fits import fit_eyes
 from facepipe.heads.people import draw
@@ -85,7 +85,7 @@ def test_no_lid_lies_in_its_eyeball_at_rest(feminine: float) -> None:
     for seed in range(1, 21):
         head = asset()
         weights = draw(seed, years=75.0, feminine=feminine).identity.astype(np.float32)
-        points, _ = fit_eyes(head.points + np.tensordot(weights, head.modes, axes=1), head.shapes)
+        points = with_parts_fitted(head.points + np.tensordot(weights, head.modes, axes=1))
         for own, side in zip(lids, ("Left", "Right"), strict=True):
             ball = points[head.parts[f"Eyeball{side}"].points]
             depths = RadialSurface(ball, fit_ball(ball).centre).depths(points[own[rings > 0]])

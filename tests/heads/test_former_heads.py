@@ -46,7 +46,7 @@ def offsets(parts: FaceParts, name: str) -> np.ndarray:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With a stage of before, one of today, and their blend."""
     folder = tmp_path_factory.mktemp("heads")
-    for name, parts in (("former", former(3)), ("today", few(make_head(draw(9).identity)))):
+    for name, parts in (("former", former(3)), ("today", few(make_head(draw(5).identity)))):
         save_parts(dressed(parts, Look(), None), folder / f"{name}.usdc")
     facepipe.blend([folder / "former.usdc", folder / "today.usdc"], out=folder / "mix.usdc")
     return folder

@@ -98,7 +98,7 @@ def test_lids_made_anew_keep_what_somebody_changed_and_what_is_not_named() -> No
     forehead = int(other.meshes[0].landmarks["multipie68"].indices[19])
     changed = asset().shapes[name][1.0].astype(np.float64)
     changed[forehead] += [0.0, 0.3, 0.0]
-    parts = with_shape(head(0), name, {1.0: changed})
+    parts = replace(with_shape(head(0), name, {1.0: changed}), skeleton=other.skeleton)
     made = with_own_lids(parts, points)
     np.testing.assert_array_equal(whole(made, name)[forehead], changed[forehead])
     for one in LOOKS:

@@ -39,7 +39,7 @@ def test_a_person_is_the_same_at_every_age_but_for_what_is_typical_of_age() -> N
     young, middle, old = (draw(5, years=years) for years in (20.0, 50.0, 80.0))
     for seed in range(1, 21):
         older, younger = (draw(seed, years=years).identity for years in (80.0, 20.0))
-        assert _along(older - younger, arrays("measures")["trait_weights"][1]) > 0.85
+        assert _along(older - younger, arrays("measures")["trait_weights"][1]) > 0.8
         assert np.linalg.norm(older - younger) > 1
     assert young.look.worn == 0 < middle.look.worn < old.look.worn
     for name in ("tone", "eyes", "redness", "brow_shape"):
@@ -95,11 +95,15 @@ def test_measures_of_the_sexes_are_apart() -> None:
 
 
 def test_no_region_is_far_in_all_its_measures(people: list[Person]) -> None:
-    """The root mean square over a region's measures: a mouth small, thin and drawn down at once is a caricature."""
+    """The root mean square over a region's measures: a mouth small, thin and drawn down at once is a caricature.
+
+    Eyes less than others: lids follow eyeballs with their sliders at the ends, too.
+    """
     data = arrays("measures")
     values = np.stack([person.identity for person in people]) @ (data["effects"] / 16384).T
     for region in set(data["groups"].tolist()):
-        assert np.sqrt((values[:, data["groups"] == region] ** 2).mean(axis=1)).max() <= 1.65
+        most = 1.5 if region == "eyes" else 1.9
+        assert np.sqrt((values[:, data["groups"] == region] ** 2).mean(axis=1)).max() <= most
 
 
 def test_hairlines_recede_with_the_years() -> None:
@@ -116,18 +120,19 @@ def _along(way: FloatArray, direction: FloatArray) -> float:
 
 
 def test_shapes_are_wider_than_the_statistics_of_the_modes(people: list[Person]) -> None:
-    """Modes of details 1.6 times and more; the first, which change a face most, hardly: measures hold them.
+    """Half again as wide, the first, which change a face most, and those of details alike.
 
-    But for what goes with sex, modes are drawn by themselves.
+    But for what goes with sex and what tells people apart, modes are drawn by themselves.
     """
     weights = np.stack([person.identity for person in people])
     assert weights.shape == (800, MODES)
     assert np.abs(weights.mean(axis=0)).max() < 0.3
     widths = weights.std(axis=0)
-    assert 1.0 < widths[:10].mean() < 1.4 < 1.5 < widths[-20:].mean() < 1.8
+    assert 1.4 < widths[:10].mean() < 1.6
+    assert 1.4 < widths[-20:].mean() < 1.6
     sexes = np.array([[person.sex] for person in people])
     weights = weights - sexes @ np.linalg.lstsq(sexes, weights, rcond=None)[0]
-    assert np.abs(np.corrcoef(weights.T) - np.eye(MODES)).max() < 0.25
+    assert np.abs(np.corrcoef(weights.T) - np.eye(MODES)).max() < 0.3
 
 
 def test_tones_sexes_and_ages_are_all_there(people: list[Person]) -> None:
