@@ -81,8 +81,8 @@ def measure(people: People, count: int, combinations: int) -> Result:
         combined += [mouth.before_skin(subject.points(weights)) for weights in drawn]
         eyes[seed] = blink(subject, eye_sheets(average))
         print(f"{seed} of {count}", end="\r", file=sys.stderr)
-    worst = {name: worst(found) for name, found in single.items()}
-    return Result({name: one for name, one in worst.items() if one.cells}, combined, eyes)
+    most = {name: worst(found) for name, found in single.items()}
+    return Result({name: one for name, one in most.items() if one.cells}, combined, eyes)
 
 
 def raw_person(source: Path, seed: int) -> Subject:
