@@ -138,6 +138,8 @@ def _options(
     if neural and distil:
         raise InputError("--neural", "given with --distil, expected one of them")
     form = kind(**{name: value for name, value in options.items() if name in known})
+    if lod and hasattr(form, "at_level"):
+        form = form.at_level(lod)
     if getattr(form, "lods", False) and (neural or lod):
         raise InputError("--lods", f"given with {'--lod' if lod else '--neural'}, expected one of them")
     if distil and not getattr(form, "sliders", False):

@@ -23,7 +23,7 @@ from facepipe_gltf.animations import AnimationWriter, JointNodes, joint_nodes
 from facepipe_gltf.baking import Baked, Sculpt, bake, extras, storage_error, weight_error
 from facepipe_gltf.buffers import MESHOPT, Buffers, Chunk, Encoding
 from facepipe_gltf.losses import check, dropped, influence_error, listed_meshes, skin_warnings
-from facepipe_gltf.materials import VARIANTS, Image, MaterialWriter
+from facepipe_gltf.materials import VARIANTS, WEBP, Image, MaterialWriter
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
@@ -86,6 +86,15 @@ def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
             count, size = lists[number]["count"], _SIZES[lists[number]["componentType"]]
             streams[number] = _Stream(binary[start : start + count * size], count, size, "INDICES")
     return streams
+
+
+def meshopt_missing() -> str | None:
+    """What compressing lacks here, as a message has it; None: nothing."""
+    try:
+        _run(struct.pack("<I", 2) + b"[]")
+    except (InputError, ExportError) as error:
+        return error.what
+    return None
 
 
 def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
@@ -231,7 +240,7 @@ class _Writer:
             parts = self.parts = replace(parts, animations=tuple(resampled_clips), frames_per_second=options.fps)
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
-        self.materials = MaterialWriter(parts.materials, self.tangents)
+        self.materials = MaterialWriter(parts.materials, self.tangents, webp=options.texture_format == "webp")
         shapes = () if options.mode == "skin" else select(list(parts.shapes), options.shapes, "shapes")
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
@@ -278,13 +287,13 @@ class _Writer:
             if all(colored):
                 self.colored.add(mesh.name)
             primitives = writer.write(shown)
-            ours: Json = {"pointCount": len(mesh.points)} | extras(sculpts)
-            if mesh.landmarks:
+            ours: Json = ({"pointCount": len(mesh.points)} if self.options.restorable else {}) | extras(sculpts)
+            if mesh.landmarks and self.options.restorable:
                 ours["landmarks"] = {
                     scheme: {"points": np.asarray(landmarks.indices).tolist(), "names": list(landmarks.names)}
                     for scheme, landmarks in mesh.landmarks.items()
                 }
-            if mesh.anchor is not None:
+            if mesh.anchor is not None and self.options.restorable:
                 ours["anchor"] = int(mesh.anchor)
             name = exact(mesh)
             data_name = name if mesh.data_label is None else mesh.data_label
@@ -347,6 +356,7 @@ class _Writer:
         if self.parts.attribution:
             asset["copyright"] = self.parts.attribution
         required = ["KHR_mesh_quantization"] if self.options.quantize and meshes else []
+        required += [WEBP] if textures.webp_used else []
         lists = {
             "nodes": self.nodes,
             "meshes": self.meshes,
@@ -401,7 +411,7 @@ class _Writer:
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:
         """The sum of the errors of `ExportReport.error_mm`, in mm; None for an exact file."""
         options = self.options
-        encoding, smallest = Encoding(options.quantize), options.drop_deltas / 1000
+        encoding, smallest = Encoding(bool(options.quantize)), options.drop_deltas / 1000
         stored = [storage_error(mesh, encoding, smallest) for mesh in meshes] if options.quantize or smallest else []
         fewer = None
         if any(mesh.influences is not None and mesh.influences.any_lost for mesh in meshes):

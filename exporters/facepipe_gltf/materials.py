@@ -21,9 +21,11 @@ from facepipe.records import Json
 Pixels = npt.NDArray[np.uint8]
 
 VARIANTS = "KHR_materials_variants"
+WEBP = "EXT_texture_webp"
 _WRAP = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
+_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 
@@ -38,13 +40,14 @@ class Image:
     @property
     def extension(self) -> str:
         """File name extension with its dot."""
-        return ".png" if self.mime == "image/png" else ".jpg"
+        return _SUFFIX[self.mime]
 
 
 class Textures:
     """Collects images, each once however often it is used."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, webp: bool) -> None:
+        self._webp = webp  # it may be in the file
         self.images: list[Image] = []
         self.samplers: list[Json] = []
         self.textures: list[Json] = []
@@ -77,8 +80,15 @@ class Textures:
             return self._image(Image(_stem(texture), "image/png", b"".join(kept)))
         if texture.data.startswith(_JPEG):
             return self._image(Image(_stem(texture), "image/jpeg", texture.data))
+        if self._webp and texture.data[:4] == b"RIFF" and texture.data[8:12] == b"WEBP":
+            return self._image(Image(_stem(texture), "image/webp", texture.data))
         pixels = self.pixels(texture)
         return None if pixels is None else self.made(_stem(texture), pixels)
+
+    @property
+    def webp_used(self) -> bool:
+        """Whether an image is WebP."""
+        return any(image.mime == "image/webp" for image in self.images)
 
     def made(self, name: str, pixels: Pixels) -> int:
         """A PNG of (h, w, 3 or 4) pixels."""
@@ -102,7 +112,9 @@ class Textures:
         if source.uv_set not in uv_names:
             self.warn(f"{source.texture.name}: reads UV set '{source.uv_set}', which is missing; '{uv_names[0]}' taken")
         sampler = {"wrapS": _WRAP[source.wrap_s], "wrapT": _WRAP[source.wrap_t]}
-        texture = {"sampler": _place(self.samplers, sampler), "source": image}
+        texture: Json = {"sampler": _place(self.samplers, sampler), "source": image}
+        if self.images[image].mime == "image/webp":
+            texture = {"sampler": texture["sampler"], "extensions": {WEBP: {"source": image}}}
         info: Json = {"index": _place(self.textures, texture)}
         if source.uv_set in uv_names and uv_names.index(source.uv_set):
             info["texCoord"] = uv_names.index(source.uv_set)
@@ -157,8 +169,8 @@ class Surface:
 class MaterialWriter:
     """Converts the face's materials as meshes ask for them; one glTF material per material, UV layout and sidedness."""
 
-    def __init__(self, materials: Sequence[Material], tangents: bool) -> None:
-        self.textures = Textures()
+    def __init__(self, materials: Sequence[Material], tangents: bool, *, webp: bool) -> None:
+        self.textures = Textures(webp=webp)
         self._tangents = tangents
         self.materials: list[Json] = []
         self.extensions: set[str] = set()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from facepipe.core.errors import InputError
@@ -32,15 +32,16 @@ class Engine:
     sparse: bool = True  # it reads sparse accessors of morph targets
     quantized: bool = True  # it reads KHR_mesh_quantization
     meshopt: bool = False  # it reads EXT_meshopt_compression
+    webp: bool = False  # it reads EXT_texture_webp
     lods: bool = True  # it shows one level of those that MSFT_lod names, and not all
     target_normals: bool = False  # it shades by the normals of morph targets, and computes none itself
     changed_names: tuple[tuple[str, str], ...] = ()  # patterns in a node's name, and what they become
     joint_name: Callable[[str], str] | None = None  # what a joint is called instead
 
 
-ANY = Engine(title="glTF 2.0", meshopt=True)
+ANY = Engine(title="glTF 2.0", meshopt=True, webp=True)
 ENGINES: Mapping[str, Engine] = {
-    "blender": Engine(title="Blender"),
+    "blender": Engine(title="Blender", webp=True),
     "godot": Engine(
         title="Godot 3",
         influences=4,
@@ -55,13 +56,33 @@ ENGINES: Mapping[str, Engine] = {
         title="three.js",
         influences=4,
         meshopt=True,
+        webp=True,
         target_normals=True,
         changed_names=((r"\s", "_"), (r"[\[\].:/]", "")),
     ),
-    "babylon": Engine(title="Babylon.js", meshopt=True, target_normals=True),
+    "babylon": Engine(title="Babylon.js", meshopt=True, webp=True, target_normals=True),
     "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, target_normals=True),
     "unreal": Engine(title="Unreal (Interchange)", changed_names=((r"[\s.]", "_"),)),
     "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False, lods=False),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Purpose:
+    """What a file is for, whatever reads it."""
+
+    expressions: bool = False  # of shapes those alone whose names say what they are, not those of who it is
+    merged: bool = False  # teeth, gums and tongue in one mesh and material, both eyes, all hair
+    animations: bool = False
+    pictures: Literal["jpeg", "webp"] | None = None  # None: as they are
+    size: int = 0  # pixels of a picture's longer side at most, at the finest level
+    small: bool = False  # quantised and compressed where the engine reads that
+
+
+PURPOSES: Mapping[str, Purpose] = {
+    "game": Purpose(expressions=True, merged=True, pictures="jpeg", size=1024, small=True),
+    "web": Purpose(expressions=True, merged=True, pictures="webp", size=1024, small=True),
+    "film": Purpose(animations=True),
 }
 
 
@@ -74,6 +95,7 @@ def check_engine(options: Options) -> None:
         ("--quantize", options.quantize and not engine.quantized, "reads no quantised attributes reliably"),
         ("--lods", options.lods and not engine.lods, "shows all levels at once"),
         ("--meshopt", options.meshopt and not engine.meshopt, "reads no EXT_meshopt_compression"),
+        ("--texture-format", options.texture_format == "webp" and not engine.webp, "reads no EXT_texture_webp"),
     )
     for flag, asked, why in unread:
         if asked:
@@ -123,6 +145,20 @@ class Options:
         "read, and says which names it changes",
         choices=tuple(ENGINES),
     )
+    purpose: str | None = option(
+        None,
+        "what is in the file: game and web have one finished person with expressions, few meshes and materials, small "
+        "pictures and numbers as small as --engine reads; film has everything. Options given beside it hold",
+        choices=tuple(PURPOSES),
+        flag="--for",
+    )
+    customisable: bool = option(False, "with --for game or web: also the shapes that change who it is")
+    texture_format: Literal["jpeg", "webp", "png", "kept"] | None = option(
+        None, "pictures of materials (default kept, or as --for asks; JPEG only where they have no alpha)"
+    )
+    texture_size: int | None = option(
+        None, "longest side of a picture (default 1024 with --for game or web, half of it a --lod)", 16, 16384, "pixels"
+    )
     influences: Literal[4, 8] | None = option(
         None, "largest number of joints that move one vertex (default 4, or as many as --engine reads)"
     )
@@ -131,10 +167,10 @@ class Options:
     animations: bool = option(False, "export poses and animations")
     fps: float | None = option(None, "frames per second to sample clips at; their own keys by default", 1.0, 1000.0)
     lods: bool = option(False, "with the lower levels of detail of a face that `facepipe lod` made (MSFT_lod)")
-    quantize: bool = option(False, "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)")
+    quantize: bool | None = option(None, "store all but positions as 8 and 16 bit integers (KHR_mesh_quantization)")
     dense: bool | None = option(None, "store every value of every morph target, for readers that get sparse ones wrong")
-    meshopt: bool = option(
-        False, "compress without loss (EXT_meshopt_compression); needs node with its package meshoptimizer"
+    meshopt: bool | None = option(
+        None, "compress without loss (EXT_meshopt_compression); needs node with its package meshoptimizer"
     )
     drop_deltas: float = option(0.0, "leave out offsets of blendshapes shorter than this", 0.0, 100.0, "mm")
 
@@ -142,6 +178,16 @@ class Options:
     def reader(self) -> Engine:
         """The engine that the file is for."""
         return ANY if self.engine is None else ENGINES[self.engine]
+
+    def at_level(self, lod: int) -> Options:
+        """The options for a level of detail, 0 the finest: pictures of lower ones are smaller."""
+        size = 0 if self.purpose is None else PURPOSES[self.purpose].size
+        return replace(self, texture_size=max(size >> lod, 16)) if lod and size and not self.texture_size else self
+
+    @property
+    def restorable(self) -> bool:
+        """Whether the file holds what `facepipe import gltf` restores the face by."""
+        return self.purpose is None or not PURPOSES[self.purpose].small
 
     @property
     def most_influences(self) -> int:

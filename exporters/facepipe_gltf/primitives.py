@@ -72,7 +72,8 @@ class PrimitiveWriter:
 
     def __init__(self, baked: Baked, options: Options, buffers: Buffers, joint_count: int) -> None:
         self._baked = baked
-        self._encoding = Encoding(options.quantize)
+        self._encoding = Encoding(bool(options.quantize))
+        self._restorable = options.restorable
         self._smallest = options.drop_deltas / 1000
         self._buffers = buffers
         self._joint_type = np.uint8 if joint_count <= 1 << 8 else np.uint16
@@ -143,14 +144,17 @@ class PrimitiveWriter:
                 part = slice(4 * i, 4 * i + 4)
                 attributes[f"JOINTS_{i}"] = self._add(Encoded(kept[:, part], False))
                 attributes[f"WEIGHTS_{i}"] = self._add(Encoded(stored.array[:, part], stored.normalized))
-        attributes["_FACEPIPE_POINT"] = self._add(Encoded(vertices.points.astype(np.float32), False))
+        if self._restorable:
+            attributes["_FACEPIPE_POINT"] = self._add(Encoded(vertices.points.astype(np.float32), False))
         return attributes
 
     def _targets(self, primitives: Sequence[Vertices]) -> list[list[dict[str, Rows]]]:
         """The targets of each primitive: one per sculpt, all with the same attributes."""
         targets: list[list[dict[str, Rows]]] = [[] for _ in primitives]
-        # integers can't hold offsets of normals beyond -1..1: those stay float32 in a quantised file too
+        # integers can't hold offsets of normals beyond -1..1: those stay float32 in a quantised file too, but where it
+        # is to be small. There they end at 1, in folds: one normal beyond would take four times the bytes for all.
         encodings = [Encoding(), self._encoding] if self._encoding.quantize else [Encoding()]
+        encodings = encodings if self._restorable else encodings[-1:]
         for block in self._baked.morphs():
             morphs = without_small(block, self._smallest)
             offsets = table_of(morphs, self._encoding.offsets(morphs.offsets))

@@ -35,12 +35,13 @@ def record_of(
     animations: Collection[str],
     colored: Collection[str],
 ) -> Record | None:
-    """The record of the face; None where the face can't be restored, because its joints are baked into points.
+    """The record of the face; None where the face can't be restored, because its joints are baked into points, or
+    need not be.
 
     :param animations: names of those in the file
     :param colored: names of meshes whose display colours are in the file
     """
-    if options.mode == "morph" or any(len(mesh.placement.matrices) > 1 for mesh in meshes):
+    if options.mode == "morph" or any(len(mesh.placement.matrices) > 1 for mesh in meshes) or not options.restorable:
         return None
     # joints and shapes of animations by number: faces have hundreds of poses that name the same hundreds
     face = _husk(parts, meshes, animations, colored)

@@ -9,7 +9,7 @@ import re
 import struct
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
@@ -142,8 +142,15 @@ def export(
     delivered = set_face(face.parts(), options.pose)
     levels: tuple[FaceParts, ...] = lower_levels(face) if options.lods else ()
     # levels are set as the face is: a template's would show as another person from afar
-    document = write(delivered.parts, options, levels=[set_face(level, options.pose).parts for level in levels])
-    return report_of(document, save(document, target, on_document=on_document), delivered, start)
+    parts, chosen = delivered.parts, tuple[str, ...]()
+    levels = tuple(set_face(level, options.pose).parts for level in levels)
+    if options.purpose is not None:
+        from facepipe_gltf.purpose import purposed
+
+        parts, levels, options, chosen = purposed(parts, levels, options)
+    document = write(parts, options, levels=levels)
+    report = report_of(document, save(document, target, on_document=on_document), delivered, start)
+    return replace(report, chosen=chosen)
 
 
 def report_of(
@@ -202,7 +209,7 @@ def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDoc
     with together(target):  # all or none, and then without the sidecars of the file that was there before
         # stale are those that this writer has named, and no others: the file may refer to a user's own
         stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
-        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg)")
+        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg|webp)")
         try:
             before: Json = read_json_object(target, _MOST_BYTES)
             uris = [entry.get("uri", "") for entry in [*before.get("buffers", []), *before.get("images", [])]]

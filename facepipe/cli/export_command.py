@@ -95,10 +95,12 @@ def _as_text(report: ExportReport) -> str:
     if report.pose_error is not None:
         error = "{max_mm:.3g} mm at most, {mean_mm:.2g} mean, over {shapes} shapes and {poses} poses"
         lines.append(f"rest: {report.pose}; expressions on top off by {error.format(**report.pose_error)}")
+        lines.append("exact where the engine keeps scaled joints: --pose set-joints")
         if "sliders" in report.counts:
             lines.append("sliders moved elsewhere: {sliders_max_mm:.3g} mm at most".format(**report.pose_error))
     if report.error_mm is not None:
         lines.append(f"error at most {report.error_mm:.4f} mm")
+    lines += [f"chosen: {line}" for line in report.chosen]
     lines += [f"added: {line}" for line in report.added]
     lines += [f"not in the file: {line}" for line in report.dropped]
     if isinstance(report, NeuralExportReport):

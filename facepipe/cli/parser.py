@@ -99,7 +99,7 @@ def add_options(
     group = parser.add_argument_group(title) if title else parser
     for field in fields_of(options):
         name = prefix + field.name
-        flag = f"--{name.replace('_', '-')}"
+        flag = f"--{name.replace('_', '-')}" if prefix else field.shown
         if flag in parser._option_string_actions:
             continue
         settings = _settings(field)

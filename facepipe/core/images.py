@@ -132,19 +132,24 @@ def decoding(where: object, expected: str = "a picture") -> Iterator[None]:
 
 
 def pixels(image: Image, mode: str, where: object, factor: int = 1) -> npt.NDArray[np.uint8]:
-    """(h, w, channels) of a picture in another mode, squares of `factor` pixels as their mean.
+    """(h, w, channels) of a picture in another mode, squares of `factor` pixels as their mean; 16 bits as the upper 8.
 
     In bands of rows: no copy of all pixels is made beside the result.
 
     :raises InputError: damaged or cut short
     """
+    from PIL import Image as Pillow
+
     width, height = (-(-side // factor) for side in image.size)
     rows = max(_BAND // image.width // factor, 1)
     result = np.empty((height, width, len(mode)), np.uint8)
     with decoding(where):
         for first in range(0, height, rows):
             box = (0, first * factor, image.width, min((first + rows) * factor, image.height))
-            band = image.crop(box).convert(mode)
+            band = image.crop(box)
+            if band.mode.startswith("I"):  # 16-bit grey, which Pillow would clip
+                band = Pillow.fromarray((np.asarray(band) >> 8).clip(0, 255).astype(np.uint8))
+            band = band.convert(mode)
             result[first : first + rows] = np.asarray(band.reduce(factor) if factor > 1 else band)
     return result
 
@@ -159,8 +164,5 @@ def read_png(path: Path) -> npt.NDArray[np.uint8]:
     image = open_image(read_bytes(path, _MOST_PNG), path, ["PNG"], expected="a PNG")
     with decoding(path):
         image.load()
-    if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip
-        grey = (np.asarray(image) >> 8).clip(0, 255).astype(np.uint8)
-        return np.repeat(grey[..., None], 3, axis=2)
     clear = "A" in image.getbands() or "transparency" in image.info
     return pixels(image, "RGBA" if clear else "RGB", path)

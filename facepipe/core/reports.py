@@ -71,6 +71,7 @@ class ExportReport(Report):
     seconds: float = 0.0
     dropped: tuple[str, ...] = ()  # what the format can't hold, one line each
     added: tuple[str, ...] = ()  # what the format asks for and the face lacks, one line each
+    chosen: tuple[str, ...] = ()  # what the file's purpose asked for, one line each
     # Largest error, where there is one: of offsets quantised or left out, in the bind pose, at most, whatever shapes
     # are on together, plus that of fewer influences over the face's own animations, plus that of quantised weights
     # where the joints of a point take it a head height apart.
