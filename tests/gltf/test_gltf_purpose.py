@@ -18,6 +18,7 @@ from facepipe_gltf.read import Options as ReadOptions
 from facepipe_gltf.read import read
 from faces import grid_mesh, replace_mesh, tiny_face
 from gltf_export import Parts
+from node import HERE, node_packages, three_load
 from PIL import Image
 from scipy.spatial import cKDTree
 from textures import textured
@@ -91,6 +92,26 @@ def test_its_points_move_as_the_face_moves(game: tuple[gltf_reader.Gltf, ExportR
                 every = np.vstack([moved, np.full((1, 3), np.inf)])
                 off = np.linalg.norm(every[twins] - other[:, None], axis=2).min(axis=1)
                 assert off.max() < bound, weights
+
+
+@pytest.mark.slow
+def test_three_shows_the_same_person(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compressed as `--for web --engine three` has it: every vertex where a point of the face is."""
+    node_packages()
+    monkeypatch.setenv("NODE_PATH", str(HERE / "node_modules"))
+    report = exported(tmp_path, purpose="web", engine="three")[1]
+    assert "--meshopt" in report.chosen
+    rig = build(person())
+    weights = {"jawOpen": 1.0, "mouthSmileLeft": 1.0, "eyeBlinkRight": 1.0}
+    rest, moved = (MM * person().meters_per_unit * rig.evaluate(one) for one in ({}, weights))
+    own, other = (
+        MM * np.concatenate([mesh["positions"] for mesh in three_load(report.path, one, {})["meshes"]])
+        for one in ({}, weights)
+    )
+    away, twins = cKDTree(rest).query(own, k=6, distance_upper_bound=2e-3)
+    assert away[:, 0].max() < 1e-3
+    every = np.vstack([moved, np.full((1, 3), np.inf)])
+    assert np.linalg.norm(every[twins] - other[:, None], axis=2).min(axis=1).max() < 0.05
 
 
 def colours(parts: FaceParts, mesh: Mesh, points: np.ndarray) -> dict[str, np.ndarray]:

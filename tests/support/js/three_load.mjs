@@ -35,7 +35,8 @@ gltf.scene.traverse((object) => {
   object.skeleton?.update();
   const targets = Object.keys(object.morphTargetDictionary ?? {});
   targets.forEach((name) => (object.morphTargetInfluences[object.morphTargetDictionary[name]] = request.weights[name] ?? 0));
-  const points = Array.from(object.geometry.attributes._facepipe_point.array);
+  const { _facepipe_point: numbers, position } = object.geometry.attributes;
+  const points = numbers ? Array.from(numbers.array) : [...Array(position.count).keys()]; // else vertices as they are
   const positions = points.map((_, i) => object.getVertexPosition(i, new Vector3()).applyMatrix4(object.matrixWorld).toArray());
   meshes.push({ name: object.name, targets, points, positions });
 });
