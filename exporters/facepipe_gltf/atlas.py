@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -56,9 +57,13 @@ class Atlas:
         }
         if not all(constant[field] and not isinstance(getattr(first, field), TextureInput) for field in _ORM):
             packed = self._input(f"{name}_orm", [self._orm(one) for one in self._materials])
-            for field, channel in zip(_ORM, ("r", "g", "b"), strict=True):
-                if not constant[field] or isinstance(getattr(first, field), TextureInput):
-                    found = replace(found, **{field: replace(packed, channels=channel)})
+            channels: tuple[Literal["r", "g", "b"], ...] = ("r", "g", "b")
+            values: dict[str, Any] = {
+                field: replace(packed, channels=channel)
+                for field, channel in zip(_ORM, channels, strict=True)
+                if not constant[field] or isinstance(getattr(first, field), TextureInput)
+            }
+            found = replace(found, **values)
         normal = next((one.normal for one in self._materials if one.normal is not None), None)
         if normal is not None:
             own = self._input(f"{name}_normal", [self._normal(one) for one in self._materials])

@@ -239,7 +239,7 @@ class _Writer:
                     self.warnings.append(f"{animation.name}: {what}")
             parts = self.parts = replace(parts, animations=tuple(resampled_clips), frames_per_second=options.fps)
         self.space = space_of(parts)
-        self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
+        self.buffers = Buffers(dense=options.is_dense, apart=bool(options.meshopt))
         self.materials = MaterialWriter(parts.materials, self.tangents, webp=options.texture_format == "webp")
         shapes = () if options.mode == "skin" else select(list(parts.shapes), options.shapes, "shapes")
         meshes = self._meshes(parts, shapes)

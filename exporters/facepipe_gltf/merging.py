@@ -35,20 +35,18 @@ def merged(parts: FaceParts) -> FaceParts:
     or skinned otherwise, of other UV sets, and materials that differ in more than pictures stay by themselves.
     """
     known = {material.name: material for material in parts.materials}
-    groups: dict[object, list[Mesh]] = {}
-    for number, mesh in enumerate(parts.meshes):
+    groups: dict[tuple[object, ...], list[Mesh]] = {}
+    for mesh in parts.meshes:
         role = _role(mesh, known)
-        groups.setdefault(number if role is None else (role, *_space(mesh)), []).append(mesh)
+        groups.setdefault(("", mesh.name) if role is None else (role, *_space(mesh)), []).append(mesh)
     meshes, made = [], dict[str, Material]()
-    alone = [group for key, group in groups.items() if not isinstance(key, tuple) or len(group) < 2]
-    names = {mesh.name for group in alone for mesh in group}
+    names = {group[0].name for group in groups.values() if len(group) == 1}
     surfaces = set(known)
-    for key, group in groups.items():
-        if group in alone:
+    for (kind, *_), group in groups.items():
+        if len(group) == 1:
             meshes += group
             continue
-        name = _free(str(key[0]).capitalize(), names)
-        whole = _one_mesh(name, group)
+        whole = _one_mesh(_free(str(kind).capitalize(), names), group)
         whole, own = _one_material(whole, known, surfaces)
         made |= own
         meshes.append(whole)
@@ -191,7 +189,8 @@ def _one_shapes(meshes: Sequence[Mesh], starts: IntArray) -> tuple[Blendshape, .
             for shape in mesh.blendshapes
             if shape.name == name
         ]
-        turned = all(one.normal_offsets is not None for shape, _ in own for one in (shape, *shape.inbetweens))
+        sculpts = [sculpt for shape, _ in own for _, _, sculpt in shape.sculpts]
+        turned = all(sculpt.normal_offsets is not None for sculpt in sculpts)
         taken, inbetweens = set[str](), list[Inbetween]()
         for weight, label in {one.weight: one.name for shape, _ in reversed(own) for one in shape.inbetweens}.items():
             inbetweens.append(
@@ -243,17 +242,18 @@ def _one_material(mesh: Mesh, known: Mapping[str, Material], names: set[str]) ->
     made, called = dict[str, Material](), dict[str, str]()
     for group in kinds.values():
         looks = _looks([known[name] for name in group]) if len(group) > 1 else []
-        tiles = {name: _tile(values[corners[name]], known[name]) for _, own in looks for name in own}
-        if len(group) == 1 or (len(looks) > 1 and any(tile is None for tile in tiles.values())):
+        found = {name: _tile(values[corners[name]], known[name]) for _, own in looks for name in own}
+        tiles = {name: tile for name, tile in found.items() if tile is not None}
+        if len(group) == 1 or (len(looks) > 1 and len(tiles) < len(found)):
             called |= {name: name for name in group}
             continue
-        one = _free(mesh.name, names)
-        called |= dict.fromkeys(group, one)
+        whole = _free(mesh.name, names)
+        called |= dict.fromkeys(group, whole)
         if len(looks) == 1:
-            made[one] = replace(looks[0][0], name=one)
+            made[whole] = replace(looks[0][0], name=whole)
             continue
         atlas = Atlas([look for look, _ in looks], uv_set.name)
-        made[one] = atlas.material(one)
+        made[whole] = atlas.material(whole)
         for number, (_, own) in enumerate(looks):
             for name in own:
                 values[corners[name]] = atlas.uvs(number, values[corners[name]] - tiles[name])
