@@ -10,6 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.images import open_image, pixels
+from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.parts import Color, Material, Texture, TextureInput
 from facepipe_gltf.images import Pixels, packed_image
 
@@ -87,9 +88,9 @@ class Atlas:
             scales = [color.scale[0 if color.channels == "rgb" else _CHANNEL[color.channels]]] * 3
             scales = list(color.scale[:3]) if color.channels == "rgb" else scales
             if any(scale != 1.0 for scale in scales):
-                planes = [_encoded(_linear(own) * scale) for own, scale in zip(planes, scales, strict=True)]
+                planes = [to_srgb(from_srgb(own) * scale) for own, scale in zip(planes, scales, strict=True)]
         else:
-            planes = [_encoded(self._plane(color, channel)) for channel in range(3)]
+            planes = [to_srgb(self._plane(color, channel)) for channel in range(3)]
         if clear:
             planes.append(self._scaled(material.opacity))
         return np.stack(planes, axis=-1)
@@ -127,12 +128,3 @@ class Atlas:
         if texture.data not in self._opened:
             self._opened[texture.data] = pixels(open_image(texture.image(), texture.name), "RGBA", texture.name)
         return self._opened[texture.data]
-
-
-def _linear(values: FloatArray) -> FloatArray:
-    return np.asarray(np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4))
-
-
-def _encoded(values: FloatArray) -> FloatArray:
-    clipped = np.clip(values, 0.0, 1.0)
-    return np.asarray(np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055))

@@ -20,19 +20,17 @@ class Purposed(NamedTuple):
     chosen: tuple[str, ...]  # one line each
 
 
-def purposed(parts: FaceParts, levels: Sequence[FaceParts], options: Options) -> Purposed:
-    """What `options.purpose` makes of a face and its lower levels; all that is given beside it stays as given.
+def purposed(name: str, parts: FaceParts, levels: Sequence[FaceParts], options: Options) -> Purposed:
+    """What a purpose by name makes of a face and its lower levels; all that is given beside it stays as given.
 
     :raises InputError: pictures that may not be copied
     """
-    if options.purpose is None:
-        return Purposed(parts=parts, levels=tuple(levels), options=options, chosen=())
-    purpose, engine, lines = PURPOSES[options.purpose], options.reader, list[str]()
+    purpose, engine, lines = PURPOSES[name], options.reader, list[str]()
     if purpose.animations and not options.animations:
         options = replace(options, animations=True)
         lines.append("--animations")
     if purpose.expressions and options.shapes == "*" and not options.customisable:
-        kept = [name for name in parts.shapes if meaning(name) is not None]
+        kept = [shape for shape in parts.shapes if meaning(shape) is not None]
         if kept:
             options = replace(options, shapes=",".join(kept))
             lines.append(f"{len(kept)} of {len(parts.shapes)} shapes, of expressions (--customisable keeps all)")

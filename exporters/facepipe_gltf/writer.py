@@ -147,7 +147,7 @@ def export(
     if options.purpose is not None:
         from facepipe_gltf.purpose import purposed
 
-        parts, levels, options, chosen = purposed(parts, levels, options)
+        parts, levels, options, chosen = purposed(options.purpose, parts, levels, options)
     document = write(parts, options, levels=levels)
     report = report_of(document, save(document, target, on_document=on_document), delivered, start)
     return replace(report, chosen=chosen)
