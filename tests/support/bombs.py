@@ -437,7 +437,7 @@ def same_points(made: Any, number: int) -> None:
 
 def many_packed_views(document: dict[str, Any]) -> None:
     """Primitives whose indices are all packed in the same bytes."""
-    count, packed = 20, 300_000
+    count, packed = 40, 300_000
     Path("one.bin").write_bytes(Path("one.bin").read_bytes() + b"\xd1" + bytes(packed + 4))
     document["buffers"][0]["byteLength"] += packed + 5
     where = {"buffer": 0, "byteOffset": 28 * POINTS, "byteLength": packed + 5}

@@ -65,7 +65,7 @@ _SUPPORTED_EXTENSIONS = frozenset(
 )
 _MAX_FILE_BYTES = 2**32  # a GLB can't be longer, as its header counts in 32 bits
 _FREE_BYTES, _PER_BYTE = 1 << 26, 32  # that a document may unfold to: these, and as many for each byte of its buffers
-_DENSER = 4  # times as much for a byte of meshopt's: morph targets are mostly zeros
+_DENSER, _PAGE = 4, 4096  # times as much for a byte of meshopt's (morph targets are mostly zeros), each page once
 _SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
 _DATA = re.compile(r"^data:[^,]{0,200};base64,", re.IGNORECASE)
 
@@ -362,7 +362,8 @@ class Document:
                 self._decoded[number] = decode(bytes(data[start : start + length]), count, size, mode, filtered)
             except ValueError as error:
                 raise packed.error(f"can't be decoded: {error}") from None
-            self.budget.grant(_DENSER * length, (MESHOPT, number))
+            for page in range(start // _PAGE, -(-(start + length) // _PAGE)):  # views may share bytes, in whole or part
+                self.budget.grant(_DENSER * _PAGE, (MESHOPT, id(data.obj), page))
         if number in self._decoded:
             return memoryview(self._decoded[number]), 0, len(self._decoded[number])
         data = self.buffer(value.require("buffer"))
