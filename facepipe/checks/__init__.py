@@ -12,6 +12,7 @@ from facepipe.checks.checks import CHECKS, Check, check_built_in, check_stage, r
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Finding
 from facepipe.registry import exporter, suffixes
+from facepipe.stage.array_files import check_arrays_there
 from facepipe.stage.files import SUFFIXES, lower_levels, open_stage, quiet_diagnostics
 
 __all__ = ["CHECKS", "Check", "Finding", "check_stage", "register", "validate", "validate_stage"]
@@ -39,10 +40,11 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 def validate_stage(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """Check a USD file by our checks and by USD's own validators, at each of its levels of detail.
 
-    :raises InputError: no such file, or no readable USD
+    :raises InputError: no such file, no readable USD, or one without the file of its arrays
     """
     with quiet_diagnostics():
         stage = open_stage(path, strict=False)
+        check_arrays_there(stage)
         findings = check_stage(stage) + check_built_in(stage)
         for level in lower_levels(stage):
             findings += [one for one in check_stage(level) + check_built_in(level) if one not in findings]

@@ -56,6 +56,7 @@ WRINKLES_NORMAL = "facepipe:wrinkles:normal"
 WRINKLES_TINT = "facepipe:wrinkles:tint"
 WRINKLES_UV_SET = "facepipe:wrinkles:uvSet"
 
+ARRAYS_OF = "facepipe:arraysOf"  # in the custom data of a layer: the file whose big arrays it holds
 UNLIT = "facepipe:unlit"  # customData of a Material: shown as its colours are, without light
 DATA_LABEL = "facepipe:dataLabel"  # customData of a Mesh: what its source calls the geometry
 REGION_PRIMVAR = "facepipe:region:"  # a primvar, so "primvars:" comes before it in full attribute names

@@ -40,6 +40,7 @@ from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Record
 from facepipe.farm.mirror import Mirror, mirror
 from facepipe.farm.remote import StoreError
 from facepipe.kinds import Action, FileAction, InPlaceAction
+from facepipe.stage.array_files import arrays_file
 from facepipe.stage.files import SUFFIXES, naming
 from facepipe.stage.recipes import attribution_of
 from facepipe.stage.textures import texture_folder
@@ -144,9 +145,9 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
-    # a result itself, and the textures beside a stage
-    textures = [texture_folder(path) for path in line.writes if path.suffix.lower() in SUFFIXES]
-    places = [*line.writes, *textures]
+    # a result itself, and the textures and arrays beside a stage
+    stages = [path for path in line.writes if path.suffix.lower() in SUFFIXES]
+    places = [*line.writes, *map(texture_folder, stages), *map(arrays_file, stages)]
     beside = {(one.parent, one.stem) for one in line.writes if one.suffix.lower() == ".gltf"}
 
     def is_own(path: Path) -> bool:

@@ -22,9 +22,10 @@ import facepipe_schemas
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from facepipe.core import tokens
-from facepipe.core.atomic import collect, replacing, when_placed
+from facepipe.core.atomic import collect, replacing, together, when_placed
 from facepipe.core.errors import ExportError, InputError, SchemaError
 from facepipe.core.policy.paths import check_written, is_below
+from facepipe.stage.array_files import arrays_file, check_arrays_file, check_arrays_there, split_arrays
 from facepipe.stage.composition import check_counts, checked_layers, composable_layers
 from facepipe.stage.values import USD_ERRORS, reason, usd_errors
 
@@ -76,6 +77,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True, lacking: Se
                 raise InputError(where, f"timeCodesPerSecond is {rate:g}, expected a finite number above 0")
         check_counts(file, stage)
     if problems:
+        check_arrays_there(stage)
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
     return stage
@@ -130,12 +132,22 @@ def check_suffix(path: Path) -> None:
 def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path | None = None) -> None:
     """Write a layer to `path` atomically; its asset paths are written as they are.
 
+    The big arrays of a .usda go to a file beside it, as `split_arrays` says.
+
     :param beside: folder of the files that a .usdz takes in; none where not given
-    :raises InputError: a suffix that is not USD, or a folder that can't be written
+    :raises InputError: a suffix that is not USD, a folder that can't be written, or another file in the arrays' place
     :raises ExportError: a .usdz of a layer that refers to other layers
     """
     target = Path(path)
     check_suffix(target)
+    if target.suffix.lower() == ".usda":
+        layer, arrays = split_arrays(layer, target)
+        if arrays is not None:
+            check_arrays_file(target)
+            with together(target):
+                save_layer(arrays, arrays_file(target))
+                save_layer(layer, target)
+            return
     with replacing(target) as temporary, quiet_diagnostics():
         try:
             if target.suffix.lower() == ".usdz":
@@ -252,6 +264,7 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
     collect(output.parent)
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
+    check_arrays_file(output)
     if any(given.exists() and output.exists() and output.samefile(given) for given in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not overwrite:

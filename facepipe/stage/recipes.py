@@ -23,6 +23,7 @@ from facepipe.core.policy.paths import check_copied, check_model, path_named, re
 from facepipe.core.reading import digest, files_in, is_file, read_json_object
 from facepipe.declare import to_json
 from facepipe.parts import FaceParts, Recipe
+from facepipe.stage.array_files import is_arrays_file
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.materials import copy_refusal
@@ -102,7 +103,7 @@ def import_recipe(kind: str, files: Mapping[Path, Iterable[Path]], options: Data
 
 
 class FileRecipe(NamedTuple):
-    """The recipe of a file, and whether the file stands on no other layer."""
+    """The recipe of a file, and whether the file stands on no other layer but that of its arrays."""
 
     recipe: Recipe | None
     standalone: bool
@@ -117,7 +118,8 @@ def file_recipe(path: str | os.PathLike[str]) -> FileRecipe:
     prim = stage.GetDefaultPrim()
     with errors_below(os.fspath(path)):
         recipe = read_recipe(prim) if prim else None
-    return FileRecipe(recipe, not stage.GetRootLayer().subLayerPaths)
+    below = [name for name in stage.GetRootLayer().subLayerPaths if not is_arrays_file(name, Path(path))]
+    return FileRecipe(recipe, not below)
 
 
 def recipe_of(path: Path, verb: str) -> tuple[Recipe, bool]:
