@@ -126,7 +126,7 @@ def _made(arguments: argparse.Namespace, folder: Path) -> tuple[list[Made], list
     wanted = portraits(arguments.data, arguments.cache)
     if arguments.portraits:
         wanted = [portrait for portrait in wanted if portrait.name in arguments.portraits]
-    head = folder / "head.usda"
+    head = folder / "head.usdc"
     if not head.is_file():
         facepipe.sample(head)
     os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})

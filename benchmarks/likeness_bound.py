@@ -106,7 +106,7 @@ def _pairs(number: int, seed: int, size: int, folder: Path) -> Iterator[Pair]:
 def _shapes(number: int, seed: int, fits: Path, folder: Path) -> Iterator[Pair]:
     """Shapes with the head's own skin, in the place of a fit."""
     who, face = person(number, seed), facepipe.open(fits / f"{number:03}.1.usda")
-    photo, mean = read_photo(fits / f"{number:03}.0.png").pixels, facepipe.open(fits / "head.usda").evaluate()
+    photo, mean = read_photo(fits / f"{number:03}.0.png").pixels, facepipe.open(fits / "head.usdc").evaluate()
     heads = {"fit": None, "true shape": posed(who.parts, build(who.parts), {}, {}), "mean head": mean}
     for shape, points in heads.items():
         shown = dict(PicturedPerson(face, points).pictures(photo))

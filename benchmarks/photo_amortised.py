@@ -3,7 +3,7 @@
 usage: python benchmarks/photo_amortised.py start.onnx [--faces 4] [--seed 0] [--few 20] [--many 200] [--rate 0.1]
        [--networks] [--json out.json]
 
-start.onnx is what `facepipe sample -o head.usda && facepipe train-photo head.usda -o start.onnx` writes. The portraits
+start.onnx is what `facepipe sample -o head.usdc && facepipe train-photo head.usdc -o start.onnx` writes. The portraits
 are those of `photo_recovery.py`: known people, rendered by `facepipe.pictures` in lights, skins and before backgrounds
 that no training saw, with noisy landmarks. Rows, means over the faces, by what comes before the descent:
 

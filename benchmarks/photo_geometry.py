@@ -93,8 +93,8 @@ def fit_all(arguments: argparse.Namespace, folder: Path) -> list[Measured]:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     os.environ["FACEPIPE_THREADS"] = "1"
     folder.mkdir(parents=True, exist_ok=True)
-    if not (folder / "head.usda").is_file():
-        facepipe.sample(folder / "head.usda")
+    if not (folder / "head.usdc").is_file():
+        facepipe.sample(folder / "head.usdc")
     three = arguments.people if arguments.three is None else arguments.three
     people = []
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
@@ -118,13 +118,13 @@ def measured(number: int, seed: int, size: int, folder: Path, fits: Iterable[str
         Image.fromarray(portrait.image).save(photos[-1])
         known.append({"yaw": portrait.yaw, "lens_mm": portrait.lens_mm})
     found = Measured(number=number, look=who.look, photos=known)
-    found.errors[MEAN] = apart(_neutral(folder / "head.usda"), who.narrow, triangles)
+    found.errors[MEAN] = apart(_neutral(folder / "head.usdc"), who.narrow, triangles)
     found.errors[NEAREST] = apart(who.nearest, who.narrow, triangles)
     for fit in fits:
         out, start = folder / f"{number:03}.{FITS[fit]}.usda", time.process_time()
         try:
             if not out.is_file():
-                facepipe.fit_photo(folder / "head.usda", photos=photos[: FITS[fit]], out=out)
+                facepipe.fit_photo(folder / "head.usdc", photos=photos[: FITS[fit]], out=out)
                 found.seconds[fit] = time.process_time() - start
         except FacepipeError as error:
             found.failed[fit] = str(error)

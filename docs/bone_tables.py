@@ -301,8 +301,8 @@ def main() -> None:
         human = makehuman_face(data, folder / "makehuman.usdc", shapes)
         bare = ict_face(data, folder / "ict.usdc")
         plain, plain_report = skinned(bare, human, folder / "plain.usda")
-        refined, refined_report = skinned(bare, human, folder / "refined.usda", optimise=True)
-        reaches = all_reaches(human, (plain, refined), folder / "fitted.usda", limits)
+        refined, refined_report = skinned(bare, human, folder / "refined.usdc", optimise=True)
+        reaches = all_reaches(human, (plain, refined), folder / "fitted.usdc", limits)
         payloads = all_payloads(human, refined, data, folder, limits)
     tables = (
         reach_table(reaches),

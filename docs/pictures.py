@@ -163,8 +163,8 @@ def blend(folder: Path) -> Image.Image:
 def bones(folder: Path) -> Image.Image:
     """Two shapes of a person: rest, target, what bones reach of it, what they leave, and what the residual adds."""
     names, head = ("jawOpen", "mouthSmileLeft"), person(folder, 10)
-    facepipe.fit_bones(head, targets=names, residual=True, out=folder / "fitted.usda")
-    shaped, face, drawn = facepipe.open(head), facepipe.open(folder / "fitted.usda"), []
+    facepipe.fit_bones(head, targets=names, residual=True, out=folder / "fitted.usdc")
+    shaped, face, drawn = facepipe.open(head), facepipe.open(folder / "fitted.usdc"), []
     parts, plain, rest = face.parts(), close(face, 264, (0.3, 0.0), neck=2.0), face.evaluate()
     for name in names:
         local, weights = face.sample(name)
@@ -220,7 +220,7 @@ def photo(folder: Path) -> Image.Image:
 @of_docs
 def photo_face(folder: Path) -> Image.Image:
     """That portrait, and the face that `fit-photo` and `bake-photo` make of it, with nothing else given."""
-    fitted, out = folder / "fitted.usda", folder / "person.usda"
+    fitted, out = folder / "fitted.usdc", folder / "person.usdc"
     facepipe.fit_photo(person(folder, 0), photos=[PHOTO], out=fitted)
     facepipe.bake_photo(fitted, photos=[PHOTO], out=out)
     face = facepipe.open(out)
@@ -306,7 +306,7 @@ def rebuild_scan(folder: Path) -> Image.Image:
     run("import", "ict", ICT, head)
     given = ("--template", head, "--database", faces, "--landmarks", HERE / "rebuild_landmarks.json")
     closed = ("--weights", "eyeBlink_L=1", "eyeBlink_R=1")
-    run("fit-neutral", SCAN, *given, *closed, "-o", folder / "person.usda", "--picture", sheet)
+    run("fit-neutral", SCAN, *given, *closed, "-o", folder / "person.usdc", "--picture", sheet)
     image = Image.open(sheet).convert("RGB")
     return image.resize((900, round(image.height * 900 / image.width)), Image.Resampling.LANCZOS)
 
@@ -433,7 +433,7 @@ def web(folder: Path) -> Image.Image:
 @of_docs
 def web_blend(folder: Path) -> Image.Image:
     """The viewer's page with a blend of two people."""
-    sources, child = (person(folder, 3), person(folder, 8, "bea")), folder / "child.usda"
+    sources, child = (person(folder, 3), person(folder, 8, "bea")), folder / "child.usdc"
     run("blend", *sources, "-o", child, "--set", "eyes=0.2,0.8", "--set", "mouth=0,1", "--default", "0.6,0.4")
     unfolded = """(() => {
       const folds = document.querySelectorAll("section[aria-label=Blend] details");

@@ -2,8 +2,8 @@
 """facepipe: face assets from a DCC to a game engine.
 
     face = facepipe.read("head.glb")                  # a `Face`, the typed view of a USD stage
-    facepipe.fit_bones("head.usda", targets=["smile.usda"], out="fitted.usda")
-    facepipe.export("fitted.usda", "fitted.glb")
+    facepipe.fit_bones("head.usdc", targets=["smile.usda"], out="fitted.usdc")
+    facepipe.export("fitted.usdc", "fitted.glb")
 
 Every action of the command line is a function here: `facepipe blend` is `facepipe.blend`, `facepipe fit-bones`
 `facepipe.fit_bones`, with its sources and options as arguments.

@@ -2,8 +2,8 @@
 
 usage: python samples/blend_family.py MOTHER FATHER FOLDER [COUNT]
 
-FOLDER gets child_1.usda ... and a GLB of each, 3 by default. The parents have one topology and named regions. Whom a
-child takes after stays in its recipe: `facepipe blend --edit child_1.usda --set nose=1,0 --force` changes the nose.
+FOLDER gets child_1.usdc ... and a GLB of each, 3 by default. The parents have one topology and named regions. Whom a
+child takes after stays in its recipe: `facepipe blend --edit child_1.usdc --set nose=1,0 --force` changes the nose.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_written
 from facepipe.verbs.inspect import report_of
 
-TEXTURES = "head_textures"  # the folder beside head.usda
-FILES = ("head.usda", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
+TEXTURES = "head_textures"  # the folder beside head.usdc
+FILES = ("head.usdc", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
 _TEXTURES = 1024  # texels a side, which is what the sheet shows
 POSE = {"jawOpen": 0.7, "mouthSmileLeft": 0.5}
 SHEET = (
@@ -84,17 +84,17 @@ def _made(folder: Path, seed: int) -> int:
 
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:
-        perform(Sample(seed=seed, textures=_TEXTURES), path["head.usda"])
+        perform(Sample(seed=seed, textures=_TEXTURES), path["head.usdc"])
         bar.update()
-        face = facepipe.open(path["head.usda"])
-        print(report_of(face).as_text(path["head.usda"]))
+        face = facepipe.open(path["head.usdc"])
+        print(report_of(face).as_text(path["head.usdc"]))
         for name in ("head.glb", "head.onnx"):
             exporter = registry.exporter(path[name])
             report = exporter.export(face, path[name], exporter.Options())
             bar.write(f"\n{name}: {report.bytes:,} bytes in {report.seconds:.2f} s")
             bar.update()
         errors = 0
-        for name in ("head.usda", "head.glb", "head.onnx"):
+        for name in ("head.usdc", "head.glb", "head.onnx"):
             findings = [one for one in validate(path[name]) if one.severity != "info" or "NotInstalled" in one.check]
             errors += sum(finding.severity == "error" for finding in findings)
             good = all(finding.severity == "info" for finding in findings)

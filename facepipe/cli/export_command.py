@@ -3,19 +3,19 @@
 Exit code 1: done, but sliders learned by --distil are further off than --distil-threshold-mm.
 
 examples:
-  facepipe export head.usda -o head.glb
-  facepipe export head.usda -o small.glb --engine three --quantize
-  facepipe export head.usda -o head.onnx
-  facepipe export head.usda --rename vrm -o head.glb
-  facepipe export head.usda -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
-  facepipe export person.usda -o template.glb --pose rest
-  facepipe export lods.usda -o lods.glb --lods
-  facepipe export lods.usda -o far.glb --lod 2
-  facepipe export head.usda --sliders -o sliders.onnx
-  facepipe export head.usda --sliders --distil -o learned.onnx
-  facepipe export head.usda --neural head.fpnr -o rig.onnx
-  facepipe export head.usda --neural head.fpnr -o rig.glb
-  facepipe export head.usda --neural head.fpnr --encoder -o encoder.onnx
+  facepipe export head.usdc -o head.glb
+  facepipe export head.usdc -o small.glb --engine three --quantize
+  facepipe export head.usdc -o head.onnx
+  facepipe export head.usdc --rename vrm -o head.glb
+  facepipe export head.usdc -o head.vrm --stub-body --authors me --license-url https://vrm.dev/licenses/1.0/
+  facepipe export person.usdc -o template.glb --pose rest
+  facepipe export lods.usdc -o lods.glb --lods
+  facepipe export lods.usdc -o far.glb --lod 2
+  facepipe export head.usdc --sliders -o sliders.onnx
+  facepipe export head.usdc --sliders --distil -o learned.onnx
+  facepipe export head.usdc --neural head.fpnr -o rig.onnx
+  facepipe export head.usdc --neural head.fpnr -o rig.glb
+  facepipe export head.usdc --neural head.fpnr --encoder -o encoder.onnx
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ examples:
   facepipe import ict ../shared/data/ict_facekit/ict_facekit.npz ict.usdc --identity-seed 7
   facepipe import makehuman makehuman_head.npz mh.usda --targets nose/nose-scale-horiz-incr=0.5
   facepipe import obj shapes/ face.usdc
-  facepipe import gltf head.glb head.usda
-  facepipe import fbx head.fbx head.usda
+  facepipe import gltf head.glb head.usdc
+  facepipe import fbx head.fbx head.usdc
   facepipe import usd others.usd face.usda
   facepipe import gltf avatar.glb face.usda --rename arkit
 """

@@ -1,6 +1,6 @@
 """Print the folder of the USD schemas, for PXR_PLUGINPATH_NAME of hosts that need it before they start.
 
-example: PXR_PLUGINPATH_NAME=$(facepipe schema-path) usdview head.usda
+example: PXR_PLUGINPATH_NAME=$(facepipe schema-path) usdview head.usdc
 """
 
 from __future__ import annotations

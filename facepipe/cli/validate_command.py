@@ -1,6 +1,6 @@
 """Check faces, GLB, glTF, VRM and ONNX files. Exit 1 where a check finds an error.
 
-example: facepipe validate head.usda head.glb head.onnx
+example: facepipe validate head.usdc head.glb head.onnx
 """
 
 from __future__ import annotations

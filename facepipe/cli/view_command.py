@@ -5,8 +5,8 @@ that `facepipe blend` made shows its weights, and is blended again while they ar
 machine alone, until Ctrl-C.
 
 examples:
-  facepipe view head.usda
-  facepipe view head.usda other.usda --port 8000
+  facepipe view head.usdc
+  facepipe view head.usdc other.usda --port 8000
   facepipe view head.glb --onnx sliders.onnx --no-browser
 """
 

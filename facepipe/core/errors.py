@@ -7,7 +7,7 @@ from collections.abc import Iterator
 class FacepipeError(Exception):
     """Base of all errors that a user can cause or fix.
 
-    :param where: the trail to the culprit, outermost first, like ``head.usda -> </Face/Head/jawOpen>``
+    :param where: the trail to the culprit, outermost first, like ``head.usdc -> </Face/Head/jawOpen>``
     :param what: what was found and what was expected, like ``51 offsets, expected 52``
     """
 

@@ -89,7 +89,7 @@ class Finding:
 
     check: str  # "facepipe:SkinWeightsSum"
     severity: Literal["error", "warning", "info"]
-    where: str  # the trail, outermost first: "head.usda -> </Face/Head>"
+    where: str  # the trail, outermost first: "head.usdc -> </Face/Head>"
     message: str  # one line: what was found, what was expected
 
     def __str__(self) -> str:

@@ -99,7 +99,7 @@ def reblended(path: Path) -> tuple[FaceParts, tuple[str, ...]]:
     blend = BlendFaces(**kept.values)
     with (
         tempfile.TemporaryDirectory() as folder,
-        open_face(blend.base).deriving(Path(folder) / "blended.usda", flatten=kept.standalone) as face,
+        open_face(blend.base).deriving(Path(folder) / "blended.usdc", flatten=kept.standalone) as face,
     ):
         report = blend.author(face, job_of(blend, path))
         parts = Face(face.stage, face.prim).parts()

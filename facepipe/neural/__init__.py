@@ -1,9 +1,9 @@
 """Learn what a rig does, as one small network: a neural rig.
 
 examples:
-  facepipe neural-rig train head.usda -o head.fpnr
-  facepipe neural-rig apply head.usda head.fpnr -o neural.usda
-  facepipe neural-rig retarget head.fpnr anna.usda --frames anna_clip.usdc -o anna.fpnr
+  facepipe neural-rig train head.usdc -o head.fpnr
+  facepipe neural-rig apply head.usdc head.fpnr -o neural.usda
+  facepipe neural-rig retarget head.fpnr anna.usdc --frames anna_clip.usdc -o anna.fpnr
   facepipe neural-rig invert head.fpnr talk.usdc -o controls.usda --threshold-mm 0.5
 
 `facepipe neural-rig ACTION --help` shows options. `facepipe export --neural` writes what an engine loads.

@@ -2,7 +2,7 @@
 
 OUT is an override layer over FACE that links the rig; `facepipe export --neural` writes what an engine loads.
 
-example: facepipe neural-rig apply head.usda head.fpnr -o neural.usda
+example: facepipe neural-rig apply head.usdc head.fpnr -o neural.usda
 """
 
 from __future__ import annotations

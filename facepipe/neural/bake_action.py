@@ -8,9 +8,9 @@ as joints of a clip, is left out with a warning. `facepipe neural-rig train` and
 does any program that plays USD point caches.
 
 examples:
-  facepipe bake head.usda -o head_motion.usdc
-  facepipe bake anna.usda -o anna_frames.usdc --sweep 0 --spread 100 --together 0
-  facepipe neural-rig retarget head.fpnr anna.usda --frames anna_frames.usdc -o anna.fpnr
+  facepipe bake head.usdc -o head_motion.usdc
+  facepipe bake anna.usdc -o anna_frames.usdc --sweep 0 --spread 100 --together 0
+  facepipe neural-rig retarget head.fpnr anna.usdc --frames anna_frames.usdc -o anna.fpnr
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Carry a neural rig to another person, of some frames of that person: the same controls drive both.
 
-example: facepipe neural-rig retarget head.fpnr anna.usda --frames anna_clip.usdc -o anna.fpnr
+example: facepipe neural-rig retarget head.fpnr anna.usdc --frames anna_clip.usdc -o anna.fpnr
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ them; or DATA holds what another program baked of its rig: controls over time, a
 It needs the extra train (torch).
 
 examples:
-  facepipe neural-rig train head.usda -o head.fpnr
-  facepipe neural-rig train head.usda -o head.fpnr --spread 2000 --width 256 --json
-  facepipe neural-rig train head.usda --clip head.usda --clip talk.usdc -o head.fpnr
+  facepipe neural-rig train head.usdc -o head.fpnr
+  facepipe neural-rig train head.usdc -o head.fpnr --spread 2000 --width 256 --json
+  facepipe neural-rig train head.usdc --clip head.usdc --clip talk.usdc -o head.fpnr
   facepipe neural-rig train range_of_motion.usdc --controls /Rig/Controls -o head.fpnr
 """
 

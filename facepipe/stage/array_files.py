@@ -15,6 +15,7 @@ from pxr import Sdf, Usd
 
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
+from facepipe.core.reading import is_file
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.values import USD_ERRORS
 
@@ -39,7 +40,7 @@ def check_arrays_file(stage_file: Path) -> None:
     :raises InputError: another file is in the place of these
     """
     place = arrays_file(stage_file)
-    if stage_file.suffix.lower() != ".usda" or not place.exists():
+    if not is_file(place):
         return
     try:
         layer = open_layer(str(place))
@@ -53,7 +54,7 @@ def check_arrays_there(stage: Usd.Stage) -> None:
     """:raises InputError: a layer of the stage was moved or sent without its arrays"""
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         file = Path(layer.realPath)
-        if layer.realPath and not arrays_file(file).exists():
+        if layer.realPath and not is_file(arrays_file(file)):
             for name in filter(lambda name: is_arrays_file(name, file), layer.subLayerPaths):
                 raise InputError(file, f"no {name} beside it, where its arrays are; expected both files together")
 

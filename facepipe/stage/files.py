@@ -25,7 +25,6 @@ from facepipe.core import tokens
 from facepipe.core.atomic import collect, replacing, together, when_placed
 from facepipe.core.errors import ExportError, InputError, SchemaError
 from facepipe.core.policy.paths import check_written, is_below
-from facepipe.stage.array_files import arrays_file, check_arrays_file, check_arrays_there, split_arrays
 from facepipe.stage.composition import check_counts, checked_layers, composable_layers
 from facepipe.stage.values import USD_ERRORS, reason, usd_errors
 
@@ -77,6 +76,8 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True, lacking: Se
                 raise InputError(where, f"timeCodesPerSecond is {rate:g}, expected a finite number above 0")
         check_counts(file, stage)
     if problems:
+        from facepipe.stage.array_files import check_arrays_there
+
         check_arrays_there(stage)
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
@@ -141,6 +142,8 @@ def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path |
     target = Path(path)
     check_suffix(target)
     if target.suffix.lower() == ".usda":
+        from facepipe.stage.array_files import arrays_file, check_arrays_file, split_arrays
+
         layer, arrays = split_arrays(layer, target)
         if arrays is not None:
             check_arrays_file(target)
@@ -264,7 +267,10 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
     collect(output.parent)
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
-    check_arrays_file(output)
+    if output.suffix.lower() == ".usda":
+        from facepipe.stage.array_files import check_arrays_file
+
+        check_arrays_file(output)
     if any(given.exists() and output.exists() and output.samefile(given) for given in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not overwrite:

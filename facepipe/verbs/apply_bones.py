@@ -6,9 +6,9 @@ skeleton plays. An .npz holds `points`, (n, 3) or (frames, n, 3) in stage units,
 coefficients are beyond the limits of FACE; --clamp brings them into these.
 
 examples:
-  facepipe apply-bones head.usda --info person.fpb
-  facepipe apply-bones head.usda person.fpb -o person.usda
-  facepipe apply-bones head.usda person.fpb -o points.npz
+  facepipe apply-bones head.usdc --info person.fpb
+  facepipe apply-bones head.usdc person.fpb -o person.usdc
+  facepipe apply-bones head.usdc person.fpb -o points.npz
 """
 
 from __future__ import annotations

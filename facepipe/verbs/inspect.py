@@ -1,6 +1,6 @@
 """Show what a face holds: meshes, joints, shapes, regions, landmarks, animations, materials, sliders, neural rig.
 
-example: facepipe inspect head.usda
+example: facepipe inspect head.usdc
 example: facepipe inspect head.glb
 """
 

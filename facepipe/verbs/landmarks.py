@@ -3,7 +3,7 @@
 The file holds a list of point indices, an object {"name": index}, {"scheme": ..., "indices": [...], "names": [...]},
 or an object of several schemes, each a list or an object. A scheme without name is multipie68.
 
-example: facepipe landmarks head.usda --from points.json -o head.landmarks.usda
+example: facepipe landmarks head.usdc --from points.json -o head.landmarks.usda
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ they have), "meshes": {"Eye*": "eyes"}: regions of other meshes, whole, and "bac
 A map covers the UV tile 0 to 1 unless --tile says otherwise. OUT is an override layer over FACE.
 
 examples:
-  facepipe regions head.usda --picture regions.png
-  facepipe regions head.usda --map map.png --legend legend.json -o head.regions.usda
+  facepipe regions head.usdc --picture regions.png
+  facepipe regions head.usdc --map map.png --legend legend.json -o head.regions.usda
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Draw a face.
 
 examples:
-  facepipe render head.usda -o head.png --view three-quarter --set jawOpen=0.7
-  facepipe render head.usda -o nose.png --slider noseWidth=0.8
-  facepipe render head.usda -o moved.png --set jawOpen=1 --heatmap displacement
-  facepipe render head.usda -o regions.png --regions
-  facepipe render lods.usda -o far.png --lod 2
+  facepipe render head.usdc -o head.png --view three-quarter --set jawOpen=0.7
+  facepipe render head.usdc -o nose.png --slider noseWidth=0.8
+  facepipe render head.usdc -o moved.png --set jawOpen=1 --heatmap displacement
+  facepipe render head.usdc -o regions.png --regions
+  facepipe render lods.usdc -o far.png --lod 2
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Make the built-in head: one topology, a different person for every seed.
 
-example: facepipe sample head.usda --seed 3
+example: facepipe sample head.usdc --seed 3
 example: facepipe sample old.usda --seed 3 --age 70 --feminine 1
 """
 

@@ -358,6 +358,6 @@ def test_the_report_holds_what_the_command_reports(chain: Path, capsys: Capsys) 
 
 def test_the_python_of_the_page_runs(folder: Path, capsys: Capsys) -> None:
     page = (REPOSITORY / "docs" / "cook.md").read_text(encoding="utf-8")
-    done(capsys, "blend", "a.usda", "b.usda", "-o", "child.usda")
+    done(capsys, "blend", "a.usda", "b.usda", "-o", "child.usdc")
     exec("".join(blocks(page, "python")), {})
-    assert capsys.readouterr().out == "child.usda blend up to date ()\n"
+    assert capsys.readouterr().out == "child.usdc blend up to date ()\n"

@@ -89,15 +89,15 @@ def test_its_tests_pass_and_those_of_the_house(house: Path) -> None:
 def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path: Path) -> None:
     """On a small face in the place of the sample, which is soon read; `sample` has tests of its own."""
     made, *lines = (line.removeprefix("facepipe ") for line in blocks(PAGE, "sh")[2].splitlines())
-    assert made == "sample -o head.usda"
-    save_parts(tiny_face(), tmp_path / "head.usda")
+    assert made == "sample -o head.usdc"
+    save_parts(tiny_face(), tmp_path / "head.usdc")
     *before, kept = fresh_process.commands(tmp_path, house, *lines)
-    save_parts(tiny_face(1), tmp_path / "head.usda")
+    save_parts(tiny_face(1), tmp_path / "head.usdc")
     more = (
         "cook soft.usda",
         "--help",
         "scale-shapes --help",
-        "scale-shapes head.usda --shape jawOpen --factor 0.6 -o same.usda --json",
+        "scale-shapes head.usdc --shape jawOpen --factor 0.6 -o same.usda --json",
     )
     cook, help, options, same = after = fresh_process.commands(tmp_path, house, *more)
     assert {(end.returncode, end.stderr) for end in (*before, kept, *after)} == {(0, "")}
@@ -111,12 +111,12 @@ def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path:
         import json, facepipe
         from facepipe.actions import find_action
         from facepipe.declare import schema_of
-        facepipe.scale_shapes("head.usda", shapes=["jawOpen"], factor=0.6, out="python.usda")
+        facepipe.scale_shapes("head.usdc", shapes=["jawOpen"], factor=0.6, out="python.usda")
         print(json.dumps(schema_of(find_action("scale-shapes"))))"""
     made = fresh_process.python(tmp_path, house, "-c", program)
     assert (made.returncode, made.stderr) == (0, "")
     schema = Draft202012Validator(json.loads(made.stdout))
-    assert schema.is_valid({"face": "head.usda", "shapes": ["jawOpen"], "factor": 0.6})
-    assert not schema.is_valid({"face": "head.usda", "factor": 5})
+    assert schema.is_valid({"face": "head.usdc", "shapes": ["jawOpen"], "factor": 0.6})
+    assert not schema.is_valid({"face": "head.usdc", "factor": 5})
     results = {(tmp_path / name).read_bytes() for name in ("soft.usda", "same.usda", "python.usda")}
     assert len(results) == 1

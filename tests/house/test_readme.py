@@ -105,7 +105,7 @@ def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     shutil.copy(photo, tmp_path / "portrait.jpg")
     tools = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     (lines,) = (block.splitlines() for block in blocks(TOUR, "sh") if "fit-photo" in block)
-    for line in ["facepipe sample -o head.usda", *lines, "facepipe validate me.usda"]:
+    for line in ["facepipe sample -o head.usdc", *lines, "facepipe validate me.usdc"]:
         done = subprocess.run(line, shell=True, cwd=tmp_path, env=tools, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
     assert {"report.html", "report.json"} <= {one.name for one in (tmp_path / "me").iterdir()}
@@ -117,11 +117,11 @@ def test_the_demo_makes_everything(tmp_path: Path, capsys: Capsys, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(demo_command, "_TEXTURES", 64)
     printed = done(capsys, "demo", "demo", quiet=False)
-    assert {"head.usda", "head.glb", "head.onnx", "points.npz", "sheet.png"} <= {
+    assert {"head.usdc", "head.glb", "head.onnx", "points.npz", "sheet.png"} <= {
         one.name for one in (tmp_path / "demo").iterdir()
     }
     assert printed.count("no errors, no warnings") == 3, printed
-    assert facepipe.open(tmp_path / "demo" / "head.usda").parts().materials  # its textures are there too
+    assert facepipe.open(tmp_path / "demo" / "head.usdc").parts().materials  # its textures are there too
     assert "--force" in failed(capsys, "demo", "demo", folder=tmp_path)
 
 

@@ -187,7 +187,7 @@ def test_a_notebook_runs(
     names = run_cells(FOLDER / f"{notebook}.ipynb")
     made = {one.name for one in (tmp_path / notebook).iterdir()}
     if notebook == "first_face":
-        assert {"head.usda", "smile.png", "jaw.png", "person.glb"} <= made
+        assert {"head.usdc", "smile.png", "jaw.png", "person.glb"} <= made
         assert names["moved"].max() > 2.0
         assert np.abs(names["opened"] - names["neutral"]).max() * names["face"].mm_per_unit > 5.0
         assert names["both"].size == (640, 320)

@@ -459,7 +459,7 @@ def test_help_loads_no_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "facepipe fit-photo portrait.jpg head.usda" in done.stdout
+    assert "facepipe fit-photo portrait.jpg head.usdc" in done.stdout
 
 
 # Folders that appear whole or not at all

@@ -64,9 +64,10 @@ def test_tokens_are_the_schemas_attributes() -> None:
     others = {
         tokens.SEAM_RESIDUAL,
         tokens.SCANNED,
+        tokens.ARRAYS_OF,
         tokens.DATA_LABEL,
         tokens.UNLIT,
-    }  # plain primvars of results, customData
+    }  # plain primvars of results, data of layers and prims
     assert set(own) - others <= names
 
 

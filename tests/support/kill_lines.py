@@ -193,7 +193,7 @@ LINES: dict[str, Line] = {
         words=("demo", "demo", "--force"),
         uses=(),
         **_TEXTURES,
-        outputs=tuple(f"demo/{one}" for one in ("head.usda", "head.glb", "head.onnx", "points.npz", "sheet.png")),
+        outputs=tuple(f"demo/{one}" for one in ("head.usdc", "head.glb", "head.onnx", "points.npz", "sheet.png")),
     ),
     "import ict": _out("import", "ict", str(SHARED / "ict_facekit/ict_facekit.npz"), "-o", "out.usdc", uses=()),
     "import makehuman": _out(

@@ -152,7 +152,7 @@ class AuthorPhotoFit:
     and a camera that sees the stage as the photo does, with light and tint of materials. Photos that the face had, and
     their poses, are replaced.
 
-    >>> with facepipe.open("head.usda").deriving("person.usda") as face:
+    >>> with facepipe.open("head.usdc").deriving("person.usdc") as face:
     ...     report = AuthorPhotoFit()(face, fit, [photo])
 
     :param name: of the neutral's animation

@@ -28,9 +28,9 @@ The recipe stays on the result. --edit fits again from it with what the line cha
 ... FACE also other photos. Without -o that is in place (with --force), and anything else authored in that file is lost.
 
 examples:
-  facepipe fit-photo portrait.jpg head.usda -o person.usda --report person
-  facepipe fit-photo front.jpg side.jpg head.usda --landmarks front.json --landmarks side.json -o person.usda
-  facepipe fit-photo --edit person.usda --iterations 400 --sparsity 0.1 --force
+  facepipe fit-photo portrait.jpg head.usdc -o person.usdc --report person
+  facepipe fit-photo front.jpg side.jpg head.usdc --landmarks front.json --landmarks side.json -o person.usdc
+  facepipe fit-photo --edit person.usdc --iterations 400 --sparsity 0.1 --force
 """
 
 from __future__ import annotations

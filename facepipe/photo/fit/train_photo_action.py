@@ -12,9 +12,9 @@ OUT is one ONNX file; what it was trained on and its joint loss on pictures that
 line gives the same file. It needs `pip install 'facepipe[train]'`.
 
 examples:
-  facepipe train-photo head.usda -o start.onnx
-  facepipe fit-photo portrait.jpg head.usda -o person.usda --start start.onnx --iterations 20 --rate 0.1
-  facepipe train-photo head.usda -o start.onnx --images people --steps 400
+  facepipe train-photo head.usdc -o start.onnx
+  facepipe fit-photo portrait.jpg head.usdc -o person.usdc --start start.onnx --iterations 20 --rate 0.1
+  facepipe train-photo head.usdc -o start.onnx --images people --steps 400
 """
 
 from __future__ import annotations

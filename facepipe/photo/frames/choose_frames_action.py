@@ -13,7 +13,7 @@ but the frames are all from nearly one side, or fit-photo could not take one of 
 
 examples:
   facepipe choose-frames clip.mp4 -o frames
-  facepipe fit-photo frames/*.png head.usda -o person.usda --report person
+  facepipe fit-photo frames/*.png head.usdc -o person.usdc --report person
   facepipe choose-frames clip.mp4 -o frames --count 8 --force --json
 """
 

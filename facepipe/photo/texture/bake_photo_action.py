@@ -15,10 +15,10 @@ studio light from three sides and the textures; report.json; and these renders. 
 how like its photo each render is to that network. Exit code 1: done, but that misses the threshold.
 
 examples:
-  facepipe bake-photo person.usda portrait.jpg -o textured.usda
-  facepipe bake-photo person.usda front.jpg left.jpg right.jpg -o textured.usda --size 1024
-  facepipe bake-photo person.usda portrait.jpg -o textured.usda --report textured --identity-model arcface.onnx
-  facepipe export textured.usda -o person.glb
+  facepipe bake-photo person.usdc portrait.jpg -o textured.usdc
+  facepipe bake-photo person.usdc front.jpg left.jpg right.jpg -o textured.usdc --size 1024
+  facepipe bake-photo person.usdc portrait.jpg -o textured.usdc --report textured --identity-model arcface.onnx
+  facepipe export textured.usdc -o person.glb
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 examples:
   facepipe database create faces/*.usda -o faces.fpdb
-  facepipe database add faces.fpdb actor.usda
+  facepipe database add faces.fpdb actor.usdc
   facepipe database remove faces.fpdb actor
   facepipe database info faces.fpdb --json
 

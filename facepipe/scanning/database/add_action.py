@@ -5,8 +5,8 @@ given by --quality, miss the limits below. A report is a JSON object, alone or u
 "surface_p95_mm": 0.4, "coverage": 0.9, "flipped_triangles": 0}.
 
 examples:
-  facepipe database add faces.fpdb actor.usda
-  facepipe database add faces.fpdb actor.usda --quality report.json -o more.fpdb
+  facepipe database add faces.fpdb actor.usdc
+  facepipe database add faces.fpdb actor.usdc --quality report.json -o more.fpdb
 """
 
 from __future__ import annotations

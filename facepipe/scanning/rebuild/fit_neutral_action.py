@@ -17,8 +17,8 @@ their distance. Exit code 1: done, but a limit of the quality gate of `facepipe 
 examples:
   facepipe fit-neutral anna.glb -o anna_face.glb
   facepipe fit-neutral photos/ -o anna.glb
-  facepipe fit-neutral anna.ply --template head.usda --database faces.fpdb -o anna.usda --picture anna.png
-  facepipe fit-neutral ben.ply -o ben.usda --unit cm --weights mouthSmileLeft=0.5 mouthSmileRight=0.5
+  facepipe fit-neutral anna.ply --template head.usdc --database faces.fpdb -o anna.usdc --picture anna.png
+  facepipe fit-neutral ben.ply -o ben.usdc --unit cm --weights mouthSmileLeft=0.5 mouthSmileRight=0.5
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ template, by deformation transfer. OUT is an override layer over NEUTRAL; shapes
 are. --flatten writes a standalone file.
 
 examples:
-  facepipe personal-template anna.usda --template head.usda --database faces.fpdb -o personal.usda
-  facepipe personal-template anna.usda --template head.usda --shapes-from template -o personal.usda
+  facepipe personal-template anna.usdc --template head.usdc --database faces.fpdb -o personal.usdc
+  facepipe personal-template anna.usdc --template head.usdc --shapes-from template -o personal.usdc
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Projects: what a rebuild is made of, in TOML. Paths are relative to the project's folder.
 
-template = "head.usda"                      # face stage with multipie68 landmarks
+template = "head.usdc"                      # face stage with multipie68 landmarks
 database = "faces.fpdb"
 work = "work"                               # folder of results, below the roots (default: the project's name)
 joint = true                                # the neutral is refined on all scans together (default: false)

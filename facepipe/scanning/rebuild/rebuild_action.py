@@ -3,7 +3,7 @@
 PROJECT (TOML) names the template, a face database, the scan of the neutral and those of other expressions, with the
 shapes that each shows:
 
-  template = "head.usda"
+  template = "head.usdc"
   database = "faces.fpdb"
   [neutral]
   scan = "scans/neutral.ply"                # landmarks: scans/neutral.landmarks.json, or found on the scan
@@ -29,8 +29,8 @@ named and left out; one whose mesh lies in corrections/ never is. Exit code 1: d
 of the quality gate of `facepipe database add` is missed.
 
 examples:
-  facepipe rebuild anna.toml -o anna.usda --report anna_report
-  facepipe rebuild anna.toml -o anna.usda --joint --flatten --force --json
+  facepipe rebuild anna.toml -o anna.usdc --report anna_report
+  facepipe rebuild anna.toml -o anna.usdc --joint --flatten --force --json
 """
 
 from __future__ import annotations

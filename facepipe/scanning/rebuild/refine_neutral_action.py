@@ -14,8 +14,8 @@ OUT is an override layer over NEUTRAL; --flatten writes a standalone file. Exit 
 gate of `facepipe database add` is missed.
 
 examples:
-  facepipe refine-neutral anna.usda anna.ply -o refined.usda --region nose --picture refined.png
-  facepipe refine-neutral anna.usda anna.ply -o refined.usda --region nose mouth --detail-mm 6
+  facepipe refine-neutral anna.usdc anna.ply -o refined.usdc --region nose --picture refined.png
+  facepipe refine-neutral anna.usdc anna.ply -o refined.usdc --region nose mouth --detail-mm 6
 """
 
 from __future__ import annotations

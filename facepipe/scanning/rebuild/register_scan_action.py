@@ -11,8 +11,8 @@ it, as it is or corrected by hand. Exit code 1: done, but the face lies on the s
 `facepipe database add` asks for, or the scan shows less of it.
 
 examples:
-  facepipe register-scan smile.ply --personal personal.usda -o work/smile.usda --picture smile.png
-  facepipe register-scan take7.ply --personal personal.usda --name grin -o grin.usda \\
+  facepipe register-scan smile.ply --personal personal.usdc -o work/smile.usda --picture smile.png
+  facepipe register-scan take7.ply --personal personal.usdc --name grin -o grin.usda \\
       --weights mouthSmileLeft=1 mouthSmileRight=1 jawOpen=0.2 --neutral-scan anna.ply
 """
 

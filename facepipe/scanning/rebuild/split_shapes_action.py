@@ -10,8 +10,8 @@ far it is from the template's, and which scans show it. Exit code 1: done, but w
 is over 2 mm at more than one point in twenty.
 
 examples:
-  facepipe split-shapes work/smile.usda work/anger.usda --personal personal.usda -o actor.usda
-  facepipe split-shapes work/*.usda --personal personal.usda -o actor.usda --flatten --json
+  facepipe split-shapes work/smile.usda work/anger.usda --personal personal.usdc -o actor.usdc
+  facepipe split-shapes work/*.usda --personal personal.usdc -o actor.usdc --flatten --json
 """
 
 from __future__ import annotations

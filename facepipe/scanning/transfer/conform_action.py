@@ -14,7 +14,7 @@ of the quality gate of `facepipe database add` is missed.
 
 examples:
   facepipe conform hero.glb -o hero_head.glb --picture hero.png
-  facepipe conform body.vrm -o head.usda --without EyeballLeft EyeballRight
+  facepipe conform body.vrm -o head.usdc --without EyeballLeft EyeballRight
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ of blinks, lids (gaps, and depths in the eyeball, mm); --report makes a page of 
 
 examples:
   facepipe transfer head.glb -o head_arkit.glb --picture shapes.png
-  facepipe transfer head.usda -o head_arkit.usda --from our_hero.usda --shapes jawOpen eyeBlinkLeft eyeBlinkRight
+  facepipe transfer head.usdc -o head_arkit.usdc --from our_hero.usdc --shapes jawOpen eyeBlinkLeft eyeBlinkRight
 """
 
 from __future__ import annotations

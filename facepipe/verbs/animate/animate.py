@@ -6,8 +6,8 @@ file with a clip, alone or on another face. What it is and its units are found o
 matched in any case and with sides in any usual form; what has no target is listed. What CLIP lacks is filled.
 
 examples:
-  facepipe animate head.usda take.csv -o take.usda
-  facepipe animate head.usda take.csv -o take.usda --fps 30 --start 2.5 --end 10
+  facepipe animate head.usdc take.csv -o take.usda
+  facepipe animate head.usdc take.csv -o take.usda --fps 30 --start 2.5 --end 10
   facepipe animate ict.usdc take.json -o take.usda --resample 24 --name hello
   facepipe export take.usda -o take.glb --animations
 """

@@ -17,7 +17,7 @@ The recipe stays on the result. --edit blends again from it with what the line c
 options below. --match finds the weights whose blend comes nearest to a target sculpt of the same topology.
 
 examples:
-  facepipe blend hero.fbx anna.usda -o hero.glb --set eyes=0.2,0.8
+  facepipe blend hero.fbx anna.usdc -o hero.glb --set eyes=0.2,0.8
   facepipe blend a.usda b.usda -o c.usda --set eyes=0.8,0.2 --set mouth=0.3,0.7 --default 0.5,0.5
   facepipe blend --edit c.usda --set eyes=0.6,0.4 --lock mouth=2 --force
   facepipe blend --edit c.usda --replace 2=other.usda -o d.usda

@@ -217,7 +217,7 @@ class Blend:
     ends of an edge, which can't satisfy ``M x = D``; here rows hold -1 and +1.
 
     >>> weights = Weights(regions={"eyes": (0.8, 0.2)})
-    >>> with sources[0].deriving("blended.usda") as face:
+    >>> with sources[0].deriving("blended.usdc") as face:
     ...     report = Blend(weights=weights)(face, sources)
 
     :raises InputError: weights or options of another type

@@ -18,10 +18,10 @@ them), limits, masks and options; a --region joins those there are (NAME=1 undoe
 where they are asked for.
 
 examples:
-  facepipe fit-bones rig.usda --target smile.usda -o fitted.usda --residual
-  facepipe fit-bones rig.usda --target shapes --limits limits.json --region mouth=2 --region neck=0 -o fitted.usda
+  facepipe fit-bones rig.usda --target smile.usda -o fitted.usdc --residual
+  facepipe fit-bones rig.usda --target shapes --limits limits.json --region mouth=2 --region neck=0 -o fitted.usdc
   facepipe fit-bones rig.usda --target cache.usdc -o clip.usda --coefficients clip.fpb
-  facepipe fit-bones --edit fitted.usda --threshold-mm 0.5 --no-residual --force
+  facepipe fit-bones --edit fitted.usdc --threshold-mm 0.5 --no-residual --force
 """
 
 from __future__ import annotations

@@ -486,7 +486,7 @@ class FitBones(FitBonesOptions):
 
     >>> face = facepipe.open("rig.usda")
     >>> targets = read_targets(face, ["smile.usda", "jawOpen"])
-    >>> with face.deriving("fitted.usda") as result:
+    >>> with face.deriving("fitted.usdc") as result:
     ...     report = FitBones(residual=True)(result, targets)
 
     :param limits: over those of the rig

@@ -7,11 +7,11 @@ them, so that teeth don't eat its budget. The report has the error of every leve
 shape, and of each joint. Needs `pip install 'facepipe[lod]'`.
 
 examples:
-  facepipe lod head.usda -o lods.usda
-  facepipe lod head.usda --triangles 20000,8000,2500 -o lods.usda
-  facepipe lod --edit lods.usda --triangles 10000,4000 --force
-  facepipe export lods.usda --lods -o lods.glb
-  facepipe export lods.usda --lod 2 -o far.glb
+  facepipe lod head.usdc -o lods.usdc
+  facepipe lod head.usdc --triangles 20000,8000,2500 -o lods.usdc
+  facepipe lod --edit lods.usdc --triangles 10000,4000 --force
+  facepipe export lods.usdc --lods -o lods.glb
+  facepipe export lods.usdc --lod 2 -o far.glb
 """
 
 from __future__ import annotations

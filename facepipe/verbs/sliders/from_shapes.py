@@ -213,7 +213,7 @@ class SlidersFromShapes(ShapeSliderOptions):
     Bones are fitted to each shape, within limits, and the slider goes straight from rest to that pose. Sliders of the
     left and the right side get the same pose, mirrored.
 
-    >>> face = facepipe.open("head.usda")
+    >>> face = facepipe.open("head.usdc")
     >>> with face.deriving("controls.usda") as result:
     ...     report = SlidersFromShapes(shapes="nose_*,l_eye_*,r_eye_*")(result)
 

@@ -17,11 +17,11 @@ Sliders that are not named keep their values. Exit code 1: done, but the pose is
 OUT is an override layer over FACE.
 
 examples:
-  facepipe sliders head.usda
-  facepipe sliders head.usda --from table.toml -o controls.usda
-  facepipe sliders head.usda --from-shapes 'nose_*,mouth_*' --limits face_bones.json -o controls.usda
-  facepipe sliders head.usda --from-network learned.npz -o learned.usda
-  facepipe sliders head.usda --set noseWidth=0.8 --set browArchLeft=1 --mirror -o person.usda
+  facepipe sliders head.usdc
+  facepipe sliders head.usdc --from table.toml -o controls.usda
+  facepipe sliders head.usdc --from-shapes 'nose_*,mouth_*' --limits face_bones.json -o controls.usda
+  facepipe sliders head.usdc --from-network learned.npz -o learned.usda
+  facepipe sliders head.usdc --set noseWidth=0.8 --set browArchLeft=1 --mirror -o person.usdc
 """
 
 from __future__ import annotations
