@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
@@ -23,6 +23,9 @@ from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.bone_coefficients import coefficient_matrices
 from facepipe.rig.trs import decompose, rotation_matrices
+
+if TYPE_CHECKING:  # 0.13 s, which a face that is only opened does not need: functions import it
+    from scipy import sparse
 
 _FLAT_VOLUME = 1e-9  # of a volume: less, and there is no way back
 
@@ -109,6 +112,8 @@ class Rig:
     @property
     def delta_columns(self) -> sparse.csc_array:
         """The same by columns, made anew each time: rows take as long again to sort."""
+        from scipy import sparse
+
         shape = (3 * len(self.points), len(self.targets))
         if not self.targets:
             return sparse.csc_array(shape)
@@ -290,6 +295,8 @@ def _dual_quaternion_blend(influences: sparse.csr_array, matrices: FloatArray) -
     take ``q = sum +-w q_j / |sum +-w q_j|``, d by the same sum and length, and ``sum w K_j``; the translation is the
     vector part of ``2 d conj(q)``.
     """
+    from scipy import sparse
+
     # (j, 3, 3) symmetric stretches, negative where a matrix mirrors, and the (j, 4, 4) rigid motions after them
     linear = matrices[:, :3, :3]
     U, _, Vt = np.linalg.svd(linear)
@@ -395,6 +402,8 @@ def inverse(matrix: FloatArray, where: str) -> FloatArray:
 
 def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_array:
     """(n, j + 1) weights; a mesh without skin follows the last column."""
+    from scipy import sparse
+
     joint_count = len(parts.skeleton.joints)
     rows, columns, values = [], [], []
     for mesh, start in zip(parts.meshes, offsets[:-1], strict=True):
