@@ -52,10 +52,12 @@ def check_counts(where: object, stage: Usd.Stage) -> None:
                 found = f"{len(applied)} API schemas here and {sum(map(len, lists)) - len(applied)} on other prims"
                 raise InputError(f"{where} -> {prim.GetPath()}", f"{found}, expected at most {MOST_SCHEMAS}")
     steps: dict[Sdf.Path, int] = {}
-    for path in root.FindAllAttributeConnectionPaths(_EVERYTHING):
-        if path.IsPropertyPath():
-            _check_steps(where, stage, path, steps)
     for prim in Usd.PrimRange(root, _EVERYTHING):
+        # prim by prim: USD's search for all connections at once starts threads that cost 0.05 s
+        for attribute in prim.GetAuthoredAttributes():
+            for path in attribute.GetConnections() if attribute.HasAuthoredConnections() else ():
+                if path.IsPropertyPath():
+                    _check_steps(where, stage, path, steps)
         if prim.IsA(UsdSkel.Skeleton):
             try:
                 joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() or ()
