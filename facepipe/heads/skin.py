@@ -35,6 +35,24 @@ def _enlarged(values: Any, size: int) -> Any:
     return np.array(picture.resize((size, size), Image.Resampling.BICUBIC))
 
 
+def _strips(size: int) -> list[slice]:
+    """Rows of a picture of `size`, some at a time."""
+    return [slice(top, top + _ROWS) for top in range(0, size, _ROWS)]
+
+
+def _filtered_where(values: FloatArray, sigmas: tuple[float, float], share: FloatArray) -> tuple[Any, FloatArray]:
+    """The box of a picture where `share` is not 0, and there the Gaussian filter's result: the rest is not seen."""
+    box, around, inner = [], [], []
+    for axis, sigma in enumerate(sigmas):
+        some = np.flatnonzero(share.any(axis=1 - axis))
+        low, high = (int(some[0]), int(some[-1]) + 1) if len(some) else (0, 0)
+        start = max(low - int(4 * sigma + 0.5), 0)  # the filter reaches no farther
+        box.append(slice(low, high))
+        around.append(slice(start, high + int(4 * sigma + 0.5)))
+        inner.append(slice(low - start, high - start))
+    return tuple(box), gaussian_filter(values[tuple(around)], sigmas)[tuple(inner)]
+
+
 def to_bytes(values: FloatArray) -> Any:
     """0..1 as 0..255."""
     return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -50,6 +68,7 @@ def jpeg(name: str, pixels: Any) -> Texture:
 
 
 TILES = ("face", "back")
+_ROWS = 32  # of a picture at a time: what is made of them stays in the cache; whole pictures took 1 s of page faults
 _SHAVED = ("stubble", "buzz")  # styles whose hairs are dots
 _SMALL = 128  # texels a side, up to which every fourth place will do, and spots are smaller than a texel
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
@@ -200,13 +219,13 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     skin = _enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
-    blood = 0.03 * (1 + look.worn) * skin * _enlarged(patches, size)
+    patches, aged = _enlarged(patches, size), np.zeros((1, 1), np.float32)
     if look.worn and not small:
         lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), 2.2)
         veins = np.exp(-((lines / (0.15 * lines.std())) ** 2)) * np.clip(_noise(look, tile, 0.9, 6), 0, 1.5)
         zone = np.clip(m["cheeks"] + 0.8 * m["nose"] + 0.3 * m["chin"], 0, 1)
-        blood += _enlarged((0.35 * look.worn) * zone * veins, size)
-    spots, fine = np.zeros_like(grain), (1024, 1024)
+        aged = _enlarged((0.35 * look.worn) * zone * veins, size)
+    spots, fine = np.zeros((1, 1), np.float32), (1024, 1024)
     if not small:
         # melanin of freckles, moles and the spots of age
         zone = m["cheeks"] + 0.8 * m["bridge"] + 0.5 * m["nose"] + 0.25 * m["forehead"] + 0.12 * m["neck"]
@@ -227,16 +246,20 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
             if dots.any():
                 spots += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
         spots = _enlarged(np.asarray(spots * (1 - 0.6 * look.darkness) * bare), size)
-    melanin = skin * (0.05 * grain + spots)
     hairs = np.zeros((1, 1), np.float32)  # darkening by the dots of shaved hairs
     share = np.clip(look.beard * m["beard"] + (0.9 * cover(look, tile) if look.style in _SHAVED else 0), 0, 1)
     if share.any():
         dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
         contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
         hairs = np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
-    for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
-        light = np.exp((blood * red + melanin * brown + hairs) * np.float32(-1 / 2.2))  # in sRGB's encoding
-        base[..., channel] = np.minimum(base[..., channel] * light, 255)
+    aged, spots, hairs = (np.broadcast_to(each, (size, size)) for each in (aged, spots, hairs))
+    for rows in _strips(size):
+        blood = 0.03 * (1 + look.worn) * skin[rows] * patches[rows] + aged[rows]
+        melanin = skin[rows] * (0.05 * grain[rows] + spots[rows])
+        for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
+            # in sRGB's encoding
+            light = np.exp((blood * red + melanin * brown + hairs[rows]) * np.float32(-1 / 2.2))
+            base[rows, :, channel] = np.minimum(base[rows, :, channel] * light, 255)
     return np.asarray(base)
 
 
@@ -254,21 +277,49 @@ def roughness(look: Look, tile: int, size: int) -> FloatArray:
 
 def relief(look: Look, tile: int, size: int) -> FloatArray:
     """(size, size, 3) bytes of a tangent-space normal map."""
-    rng = np.random.default_rng((look.seed, 200 + tile))
-    m, places = masks(tile), _places(tile)
+    places = _places(tile)
     texel = np.linalg.norm(np.gradient(places, axis=1), axis=-1) * places.shape[0] / size
     scale = size / 2048
     texel = _enlarged(np.clip(gaussian_filter(texel, 2), 0.006 / scale, 0.04 / scale), size)  # cm
+    height, creases = _height(look, tile, size), _creases(look, tile, size)
+    folds = None if creases is None else _picture("wrinkles_normal.jpg", size)
+    normals = np.empty((size, size, 3), np.uint8)
+    for rows in _strips(size):
+        above = min(rows.start, 1)  # rows beside these, which the slope at their edges takes
+        down = np.gradient(height[rows.start - above : rows.stop + 1], axis=0)[above:][:_ROWS]
+        sides = [-np.gradient(height[rows], axis=1) / texel[rows], down / texel[rows], 1]
+        up = np.float32(127.5) / np.sqrt(1 + sides[0] ** 2 + sides[1] ** 2)
+        for axis, side in enumerate(sides):
+            normals[rows, :, axis] = 128 + side * up
+        if creases is None or folds is None:
+            continue
+        sides = [normals[rows, :, axis] - np.float32(128) for axis in range(3)]
+        for axis in range(2):
+            sides[axis] += creases[rows] * (folds[rows, :, axis] - np.float32(128))
+        up = np.float32(127.5) / np.sqrt(sides[0] ** 2 + sides[1] ** 2 + sides[2] ** 2)
+        for axis, side in enumerate(sides):
+            normals[rows, :, axis] = 128 + side * up
+    return np.asarray(normals)
+
+
+def _height(look: Look, tile: int, size: int) -> FloatArray:
+    """(size, size) cm: pores, grain, lines of the lips, folds of age."""
+    rng = np.random.default_rng((look.seed, 200 + tile))
+    m, scale = masks(tile), size / 2048
     skin = (1 - m["lips"]) * (1 - m["mouth"]) * (1 - m["socket"]) * (1 - m["rim"]) * (1 - 0.7 * m["neck"])
     pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
-    pores = _enlarged(pores, size)
+    pores, bare, lips = (_enlarged(each, size) for each in (pores, skin, m["lips"]))
     dots = (rng.random((size, size), np.float32) < 0.012 / scale**2).astype(np.float32)
-    height = -0.013 * (1 + 0.6 * look.worn - 0.5 * look.feminine) * pores * gaussian_filter(dots, 1.4 * scale) * 4
+    pits = gaussian_filter(dots, 1.4 * scale)
     grain = rng.standard_normal((size, size), np.float32)
-    fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
-    height += 0.0016 * (1 + 1.5 * look.worn**2) * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
-    height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
-    height += _enlarged(_TEARS * m["wet_line"], size)
+    fine = gaussian_filter(grain, 1.0 * scale), gaussian_filter(grain, 2.8 * scale)
+    height = np.asarray(_enlarged(_TEARS * m["wet_line"], size))
+    for rows in _strips(size):
+        deep = -0.013 * (1 + 0.6 * look.worn - 0.5 * look.feminine) * pores[rows] * pits[rows] * 4
+        rough = 0.0016 * (1 + 1.5 * look.worn**2) * (fine[0][rows] - fine[1][rows])
+        height[rows] += deep + rough * bare[rows] * (0.6 + 0.4 * pores[rows])
+    box, lines = _filtered_where(grain, (9 * scale, 1.6 * scale), lips)
+    height[box] += 0.010 * lines * lips[box] * 2
     if look.worn and TILES[tile] == "face":
         height += _sagging(look, size)
         crossed = np.zeros((512, 512), np.float32)
@@ -276,18 +327,4 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
             lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), widths)
             crossed -= np.exp(-((lines / (0.35 * lines.std())) ** 2))
         height += _enlarged((0.007 * look.worn**2) * skin * (1 - m["scalp"]) * crossed, size)
-    slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
-    up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-    normals = np.empty((size, size, 3), np.uint8)
-    for axis, side in enumerate((*slopes, 1)):
-        normals[..., axis] = 128 + side * up
-    creases = _creases(look, tile, size)
-    if creases is not None:
-        folds = _picture("wrinkles_normal.jpg", size)
-        sides = [normals[..., axis] - np.float32(128) for axis in range(3)]
-        for axis in range(2):
-            sides[axis] += creases * (folds[..., axis] - np.float32(128))
-        up = np.float32(127.5) / np.sqrt(sides[0] ** 2 + sides[1] ** 2 + sides[2] ** 2)
-        for axis, side in enumerate(sides):
-            normals[..., axis] = 128 + side * up
-    return np.asarray(normals)
+    return height
