@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,13 +61,12 @@ def set_error(before: Side, after: Side, stretch: FloatArray, parts: FaceParts, 
         apart = np.subtract(*(side.posed(weights, own) for side, own in zip(sides, (change, stretched), strict=True)))
         np.maximum(largest, np.linalg.norm(apart, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
-    farthest = max(_apart_with_sliders(before.rig, after.rig, parts, result), default=0.0)
     return SetError(
         mean_mm=float(largest.mean()) if len(largest) else 0.0,
         max_mm=float(largest.max(initial=0.0)),
         shapes=len(before.rig.shapes),
         poses=len(poses),
-        sliders_max_mm=1000 * parts.meters_per_unit * farthest,
+        sliders_max_mm=1000 * parts.meters_per_unit * _apart_with_sliders(before.rig, after.rig, parts, result),
     )
 
 
@@ -115,19 +114,32 @@ class Side:
         return self.rig.skin(self.morphed(self.changes(weights)), self.rig.skinning_matrices(self._local @ change))
 
 
-def _apart_with_sliders(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> Iterator[float]:
-    """Of each of some random settings of the sliders the farthest that a point of one is from that of the other."""
+def _apart_with_sliders(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:
+    """Over some random settings of the sliders the farthest that a point of one is from that of the other."""
     random = np.random.default_rng(_POSE_SEED)
-    for _ in range(_SETTINGS if parts.sliders else 0):
-        values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
-        as_before, as_after = (
-            rig.evaluate(weights, coefficients=coefficients)
-            for rig, (coefficients, weights) in (
-                (before, slide(parts.sliders, before.joints, values, parts.slider_network)),
-                (after, slide(result.sliders, after.joints, values, result.slider_network)),
-            )
-        )
-        yield float(np.linalg.norm(as_after - as_before, axis=1).max(initial=0.0))
+    settings = [
+        {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
+        for _ in range(_SETTINGS if parts.sliders else 0)
+    ]
+    if not settings:
+        return 0.0
+    apart = np.subtract(_with_sliders(before, parts, settings), _with_sliders(after, result, settings))
+    return float(np.linalg.norm(apart, axis=2).max(initial=0.0))
+
+
+def _with_sliders(rig: Rig, parts: FaceParts, settings: Sequence[Mapping[str, float]]) -> FloatArray:
+    """(s, n, 3) places of the points with settings of the sliders.
+
+    All settings are morphed by one product, which takes half as long as one after the other.
+    """
+    slid = [slide(parts.sliders, rig.joints, values, parts.slider_network) for values in settings]
+    on = np.column_stack([rig.activations(rig.weight_vector(weights)) for _, weights in slid])
+    moved = (rig.delta_columns @ on).T.reshape(len(slid), -1, 3)
+    locals_ = (rig.local_transforms(coefficients) for coefficients, _ in slid)
+    places = [
+        rig.skin(rig.points + own, rig.skinning_matrices(local)) for own, local in zip(moved, locals_, strict=True)
+    ]
+    return np.stack(places)
 
 
 def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], FloatArray]]:
