@@ -46,8 +46,11 @@ def set_error(before: Side, after: Side, stretch: FloatArray, parts: FaceParts, 
     """
     sides, whole = (before, after), slice(None)
     largest = np.linalg.norm(np.subtract(*(side.at_rest(side.points, whole) for side in sides)), axis=1)
+    alike = np.array_equal(before.blended, after.blended)
     for name in before.rig.shapes:
         changes = [side.changes({name: 1.0}) for side in sides]
+        if alike and _same_targets(sides, changes):
+            continue  # as far apart as without the shape
         moved = [side.moved_by(own) for side, own in zip(sides, changes, strict=True)]
         rows = np.flatnonzero(np.any(moved, axis=0))
         apart = np.subtract(*(side.at_rest(side.morphed(own), rows) for side, own in zip(sides, changes, strict=True)))
@@ -58,7 +61,14 @@ def set_error(before: Side, after: Side, stretch: FloatArray, parts: FaceParts, 
         change = coefficient_matrices(expression)
         stretched = change.copy()
         stretched[:, :3, 3] = np.einsum("jab,jb->ja", stretch, change[:, :3, 3])
-        apart = np.subtract(*(side.posed(weights, own) for side, own in zip(sides, (change, stretched), strict=True)))
+        morphed = [side.morphed(side.changes(weights)) for side in sides]
+        matrices = [side.matrices(own) for side, own in zip(sides, (change, stretched), strict=True)]
+        if alike and np.array_equal(matrices[0], matrices[1]):
+            blended = before.rig.blended(matrices[0])
+            apart = np.einsum("nij,nj->ni", blended[:, :, :3], morphed[1] - morphed[0])
+        else:
+            posed = zip(sides, morphed, matrices, strict=True)
+            apart = np.subtract(*(side.rig.skin(points, own) for side, points, own in posed))
         np.maximum(largest, np.linalg.norm(apart, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
     return SetError(
@@ -82,7 +92,7 @@ class Side:
         self._local = rig.rest if matrices is None else rig.rest @ matrices
         self._on = rig.activations(self._person)
         self.points = rig.morph(self._person)  # (n, 3) of the person, before skinning
-        self._blended = rig.blended(rig.skinning_matrices(self._local))
+        self.blended = rig.blended(rig.skinning_matrices(self._local))
 
     def changes(self, weights: Mapping[str, float]) -> Changes:
         """What weights on top of the person turn on."""
@@ -106,12 +116,21 @@ class Side:
 
     def at_rest(self, points: FloatArray, rows: IntArray | slice) -> FloatArray:
         """(m, 3) places of some of the points (n, 3), joints as the person has them."""
-        blended = self._blended[rows]
+        blended = self.blended[rows]
         return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points[rows]) + blended[:, :, 3])
 
-    def posed(self, weights: Mapping[str, float], change: FloatArray) -> FloatArray:
-        """(n, 3) places of all, with the matrices (j, 4, 4) of an expression on top of the person's."""
-        return self.rig.skin(self.morphed(self.changes(weights)), self.rig.skinning_matrices(self._local @ change))
+    def matrices(self, change: FloatArray) -> FloatArray:
+        """(j + 1, 4, 4) skinning matrices with those (j, 4, 4) of an expression on top of the person's."""
+        return self.rig.skinning_matrices(self._local @ change)
+
+
+def _same_targets(sides: tuple[Side, Side], changes: Sequence[Changes]) -> bool:
+    """Whether both sides' changes move the same points by the same offsets."""
+    targets = [[side.rig.targets[number] for number, _ in own] for side, own in zip(sides, changes, strict=True)]
+    return [much for _, much in changes[0]] == [much for _, much in changes[1]] and all(
+        np.array_equal(one.point_indices, other.point_indices) and np.array_equal(one.offsets, other.offsets)
+        for one, other in zip(*targets, strict=True)
+    )
 
 
 def _apart_with_sliders(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:

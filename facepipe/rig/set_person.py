@@ -56,6 +56,7 @@ _KNOTS_APART = 1e-6  # of weights: nearer knots are one
 _NO_GAIN = 1e-9  # of gains
 _EXACT_TRANSFORM = 1e-9
 _FLAT_SIZE = 1e-12  # of a joint's size, in one direction beside the others: there is no way back
+_STILL = 1e-7  # of matrices: joints are where they were bound, as weights in float32 sum to 1 but for 4.5e-8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -448,6 +449,10 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
             raise InputError(f"{parts.name} -> {rig.joints[flat[0]]}", what)
     skeleton, stretch = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
     moved = None if in_joints else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
+    still = np.array_equal(person.matrices, np.broadcast_to(np.eye(4), person.matrices.shape))
+    if moved is not None and still and np.abs(moved - np.eye(4)[:3]).max(initial=0.0) < _STILL:
+        # a person of shapes alone: joints and offsets stay as they are, which saves a pass over all of them
+        skeleton, moved = parts.skeleton, None
     bounds = rig.mesh_offsets
     # poses of photos hold the person, which is taken off them; a pose that is the person itself is left out. All others
     # are expressions already.
