@@ -7,6 +7,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 
 _FAR = 3.0  # radii of a triangle from which on its area alone counts: off by less than 0.01 in all for a head's skin
+_AT_ONCE = 4  # places: with all triangles of a head, what they take fits into a cache; 16 took up to 3 times as long each
 
 
 class WindingNumbers:
@@ -20,28 +21,34 @@ class WindingNumbers:
         """Of `points` (n, 3) and `triangles` (t, 3)."""
         columns = np.ascontiguousarray(points.T)  # a coordinate a row: a tenth of the time of rows of points
         self._corners = a, b, c = [columns[:, triangles[:, corner]] for corner in range(3)]
-        self._middles = (a + b + c) / 3.0
+        self._middles = middles = (a + b + c) / 3.0
         self._areas = 0.5 * _cross(b - a, c - a)
+        self._squares, self._products = _dot(middles, middles), _dot(middles, self._areas)
         self._reach2 = np.zeros(len(triangles))
         for corner in self._corners:
-            np.maximum(self._reach2, _FAR**2 * _dot(corner - self._middles, corner - self._middles), out=self._reach2)
+            away = corner - middles
+            np.maximum(self._reach2, _FAR**2 * _dot(away, away), out=self._reach2)
 
     def at(self, places: FloatArray) -> FloatArray:
         """(m,) of `places` (m, 3). An open surface counts as the share of the sphere around that it covers."""
-        # one by one: temporary arrays of many places at once take five times as long a place
-        return np.array([self._at(place[:, None]) for place in places])
+        parts = [self._at(places[first : first + _AT_ONCE]) for first in range(0, len(places), _AT_ONCE)]
+        return np.concatenate([np.zeros(0), *parts])
 
-    def _at(self, place: FloatArray) -> float:
-        away = self._middles - place
-        distances2 = _dot(away, away)
-        near = np.flatnonzero(distances2 < self._reach2)
-        distances2[near] = np.inf  # these are taken exactly
-        dipoles = _dot(away, self._areas) / (distances2 * np.sqrt(distances2))
-        a, b, c = (corner[:, near] - place for corner in self._corners)
+    def _at(self, places: FloatArray) -> FloatArray:
+        # |m - p|^2 and (m - p) . a by products of matrices: half the passes over all triangles that differences take
+        distances2 = places @ (-2.0 * self._middles)
+        distances2 += self._squares
+        distances2 += (places * places).sum(axis=1)[:, None]
+        dipoles = self._products - places @ self._areas
+        rows, near = np.nonzero(distances2 < self._reach2)
+        distances2[rows, near] = np.inf  # these are taken exactly
+        dipoles /= distances2
+        dipoles /= np.sqrt(distances2, out=distances2)
+        a, b, c = (corner[:, near] - places[rows].T for corner in self._corners)
         la, lb, lc = (np.sqrt(_dot(corner, corner)) for corner in (a, b, c))
         beside = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
         angles = 2.0 * np.arctan2(_dot(a, _cross(b, c)), beside)
-        return float(dipoles.sum() + angles.sum()) / (4.0 * np.pi)
+        return (dipoles.sum(axis=1) + np.bincount(rows, angles, minlength=len(places))) / (4.0 * np.pi)
 
 
 def _dot(first: FloatArray, second: FloatArray) -> FloatArray:

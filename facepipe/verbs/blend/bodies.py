@@ -159,11 +159,18 @@ class Surface:
 
         By the planes at its nearest points alone, a tooth's edge let lips 0.8 mm deeper than in any source.
         """
+        from scipy.sparse import csr_array
+
         body = self.body
         _, near = self._tree.query(points, k=np.arange(1, min(_NEAREST, len(self._points)) + 1))
-        pairs = body.around[near.ravel()].tocoo()
-        owners = (pairs.row // near.shape[1]).astype(np.int64)
-        places = closest_among(points, self._points, body.triangles, owners, pairs.col.astype(np.int64))
+        # each triangle once, though several of its corners may be near
+        chosen = csr_array(
+            (np.ones(near.size, np.int8), near.ravel(), np.arange(len(near) + 1) * near.shape[1]),
+            shape=(len(near), len(self._points)),
+        )
+        pairs = (chosen @ body.around).tocoo()
+        owners, candidates = pairs.row.astype(np.int64), pairs.col.astype(np.int64)
+        places = closest_among(points, self._points, body.triangles, owners, candidates)
         corners, shares = body.triangles[places.triangles], place_shares(places, self._points, body.triangles)
         out = unit_vectors(np.einsum("mk,mki->mi", shares, self._normals[corners]))
         far = np.where(np.isfinite(places.distances), places.distances, 0.0)  # a lip's last points have no triangle

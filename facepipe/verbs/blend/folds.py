@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.local_push import Demands
-from facepipe.geometry.polygons import triangle_normals
+from facepipe.geometry.polygons import triangle_normals, turned_triangles
 
 _AREA = 0.02  # of the nearest source's area: what a triangle that is turned back has
 
@@ -23,18 +23,19 @@ class Folds:
 
     def __init__(self, pose: FloatArray, sources: Sequence[FloatArray], triangles: IntArray) -> None:
         self._pose, self._sources, self._triangles = pose, sources, triangles
-        self._normals = [triangle_normals(points, triangles) for points in sources]
+        self._first = _crossed(sources[0], triangles)
         self.turned: IntArray = np.zeros(0, np.int64)  # into the triangles
         self._demands = Demands(triangles[:0], np.zeros((0, 3, 3)), np.zeros(0))
 
     def look(self) -> None:
         """Find them."""
-        own = triangle_normals(self._pose, self._triangles)
-        left = np.ones(len(own), bool)
-        for normals in self._normals:
-            left &= np.einsum("ti,ti->t", normals, own) < 0
-        self.turned = np.flatnonzero(left)
-        self._demands = self._turned_back(own[self.turned])
+        # few face away from the first source's: only those have their areas and the other sources looked at
+        along = np.einsum("it,it->t", self._first, _crossed(self._pose, self._triangles))
+        self.turned = np.flatnonzero(along < 0)
+        for points in self._sources:
+            triangles = self._triangles[self.turned]
+            self.turned = self.turned[turned_triangles(triangle_normals(points, triangles), self._pose, triangles)]
+        self._demands = self._turned_back()
 
     @property
     def cost(self) -> float:
@@ -45,24 +46,28 @@ class Folds:
         """That they turn back."""
         return self._demands
 
-    def _turned_back(self, own: FloatArray) -> Demands:
-        """To the normals of the source that is nearest to `own` (f, 3).
+    def _turned_back(self) -> Demands:
+        """To the normals of the source that is nearest to theirs.
 
         The signed area ``n . ((b - a) x (c - a)) / 2`` against a source's normal n is to be above 0; with one corner it
         changes by ``n x (c - b) / 2``, taken as a distance: over the root of the squares of all three.
         """
         triangles, rows = self._triangles[self.turned], np.arange(len(self.turned))
-        corners, normals = self._pose[triangles], np.stack([one[self.turned] for one in self._normals])
+        corners, own = self._pose[triangles], triangle_normals(self._pose, triangles)
+        normals = np.stack([triangle_normals(points, triangles) for points in self._sources])
         nearest = np.einsum("kti,ti->kt", normals, own).argmax(axis=0)
         towards = normals[nearest, rows]
-        areas = np.stack([np.linalg.norm(_crossed(points[triangles]), axis=1) for points in self._sources])
+        areas = np.stack([np.linalg.norm(_crossed(points, triangles), axis=0) for points in self._sources])
         ways = np.cross(towards[:, None], corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]])
         size = np.linalg.norm(ways, axis=(1, 2))
         size[size <= 0] = 1.0
-        needs = _AREA * areas[nearest, rows] - np.einsum("ti,ti->t", towards, _crossed(corners))
+        needs = _AREA * areas[nearest, rows] - np.einsum("ti,it->t", towards, _crossed(self._pose, triangles))
         return Demands(triangles, ways / size[:, None, None], needs / size)
 
 
-def _crossed(corners: FloatArray) -> FloatArray:
-    """(t, 3) normals of triangles with corners (t, 3, 3), twice as long as their areas."""
-    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+def _crossed(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(3, t) normals of triangles (t, 3), twice as long as their areas: by columns, a fifth of the time of np.cross."""
+    columns = np.ascontiguousarray(points.T)
+    a = columns[:, triangles[:, 0]]
+    (x, y, z), (u, v, w) = columns[:, triangles[:, 1]] - a, columns[:, triangles[:, 2]] - a
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
