@@ -21,6 +21,7 @@ ByteArray = npt.NDArray[np.uint8]
 AnyArray = npt.NDArray[Any]
 
 _LARGEST = float(np.finfo(np.float32).max)
+_NUMBERS, _WORDS = (float, np.floating, np.ndarray), (str, bytes, int, type(None))
 
 
 def require_finite(value: object, *where: str, error: type[FacepipeError] = InputError) -> None:
@@ -65,16 +66,16 @@ def _is_float32(number: Any) -> bool:
 
 
 def _all_sound(sound: Callable[[Any], bool], skipped: Collection[str], value: Any) -> bool:
-    if isinstance(value, float | np.floating | np.ndarray):
+    if isinstance(value, _NUMBERS):
         return sound(value)
-    if isinstance(value, str | bytes | int | None):
+    if isinstance(value, _WORDS):
         return True
     if isinstance(value, tuple | list):
         return all(_all_sound(sound, skipped, one) for one in value)
     if isinstance(value, Mapping):
         return all(_all_sound(sound, skipped, one) for one in value.values())
-    names = (name for name in _field_names(value.__class__) if name not in skipped)
-    return all(_all_sound(sound, skipped, getattr(value, name)) for name in names)
+    fields = _field_names(value.__class__)
+    return all(name in skipped or _all_sound(sound, skipped, getattr(value, name)) for name in fields)
 
 
 @functools.cache
@@ -83,9 +84,9 @@ def _field_names(kind: type) -> tuple[str, ...]:
 
 
 def _culprits(sound: Callable[[Any], bool], skipped: Collection[str], value: object) -> Iterator[tuple[str, ...]]:
-    if isinstance(value, str | bytes | int | None):
+    if isinstance(value, _WORDS):
         return
-    if isinstance(value, float | np.floating | np.ndarray):
+    if isinstance(value, _NUMBERS):
         if not sound(value):
             yield ()
     else:

@@ -7,7 +7,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 
 _FAR = 3.0  # radii of a triangle from which on its area alone counts: off by less than 0.01 in all for a head's skin
-_AT_ONCE = 4  # places: with all triangles of a head, what they take fits into a cache; 16 took up to 3 times as long each
+_AT_ONCE = 4  # places: with all triangles of a head, what they take fits into a cache; 16 took up to 3 times as long
 
 
 class WindingNumbers:

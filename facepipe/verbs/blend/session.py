@@ -16,7 +16,7 @@ from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.gradient_system import GradientSystem, MovingSystem, edge_vectors
 from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
-from facepipe.parts import Blendshape, FaceParts
+from facepipe.parts import Blendshape
 from facepipe.rig import mesh_spaces
 from facepipe.rig.rig import curves
 from facepipe.stage import Face
@@ -80,6 +80,13 @@ def pair_sculpts(
         raise InputError(where, what)
     sculpts, skipped, transferred = [], [], []
     transfer = _Transfers(sources, triangles)
+    # by name the blendshapes of every source, each with the first point of its mesh and what turns its offsets
+    named: list[dict[str, list[tuple[Blendshape, int, FloatArray]]]] = [{} for _ in sources.parts]
+    for k, parts in enumerate(sources.parts):
+        for mesh, start, space in zip(parts.meshes, sources.mesh_offsets[:-1], mesh_spaces(parts), strict=True):
+            linear = sources.to_base[k, :3, :3] @ space[:3, :3]
+            for blendshape in mesh.blendshapes:
+                named[k].setdefault(blendshape.name, []).append((blendshape, int(start), linear))
     for shape in shapes:
         lack = lacking[shape]
         if shape in foreign or (shape in lost and missing == "skip"):
@@ -87,16 +94,12 @@ def pair_sculpts(
             continue
         counted = slice(None) if motion is None or shape in lost else slice(motion, motion + 1)
         transferred += [(shape, sources.names[k]) for k in lack if shape in lost and motion in (None, k)]
-        for weight, name in _weights(sources.parts[counted], shape):
+        for weight, name in _weights([one for own in named[counted] for one, _, _ in own.get(shape, ())]):
             # (K, n, 3) offsets at a weight of the shape; 0 in sources without it
             offsets = np.zeros(sources.points.shape)
-            for k, parts in enumerate(sources.parts):
-                starts = sources.mesh_offsets[:-1]
-                for mesh, start, space in zip(parts.meshes, starts, mesh_spaces(parts), strict=True):
-                    linear = sources.to_base[k, :3, :3] @ space[:3, :3]
-                    for blendshape in mesh.blendshapes:
-                        if blendshape.name == shape:
-                            offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
+            for k, own in enumerate(named):
+                for blendshape, start, linear in own.get(shape, ()):
+                    offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
             # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
             lengths = np.linalg.norm(offsets[counted], axis=2) * sources.mm_per_unit
             points = np.flatnonzero((lengths > threshold_mm).any(axis=0))
@@ -107,12 +110,11 @@ def pair_sculpts(
     return Sculpts(tuple(sculpts), tuple(skipped), tuple(transferred))
 
 
-def _weights(parts: Sequence[FaceParts], shape: str) -> list[tuple[float, str | None]]:
-    """Every weight that some source has a sculpt at, with its name in the first that has it; names are unique."""
+def _weights(blendshapes: Sequence[Blendshape]) -> list[tuple[float, str | None]]:
+    """Every weight that some of a shape has a sculpt at, with its name in the first that has it; names are unique."""
     named: dict[float, str] = {}
-    for one in (blendshape for face in parts for mesh in face.meshes for blendshape in mesh.blendshapes):
-        for inbetween in one.inbetweens if one.name == shape else ():
-            named.setdefault(float(inbetween.weight), inbetween.name)
+    for inbetween in (one for blendshape in blendshapes for one in blendshape.inbetweens):
+        named.setdefault(float(inbetween.weight), inbetween.name)
     ordered = sorted(named.items())
     names = unique_identifiers(name for _, name in ordered)
     return [(1.0, None), *((weight, name) for (weight, _), name in zip(ordered, names, strict=True))]
