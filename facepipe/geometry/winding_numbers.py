@@ -48,7 +48,8 @@ class WindingNumbers:
         la, lb, lc = (np.sqrt(_dot(corner, corner)) for corner in (a, b, c))
         beside = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
         angles = 2.0 * np.arctan2(_dot(a, _cross(b, c)), beside)
-        return (dipoles.sum(axis=1) + np.bincount(rows, angles, minlength=len(places))) / (4.0 * np.pi)
+        whole = dipoles.sum(axis=1) + np.bincount(rows, angles, minlength=len(places))
+        return np.asarray(whole / (4.0 * np.pi))
 
 
 def _dot(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -43,8 +43,10 @@ def _value(slider: Slider, sources: Sources, solution: Solution) -> float:
         settings.append(None if twin is None else clamped_value(twin))
     known = [k for k, value in enumerate(settings) if value is not None]
     given = np.array([settings[k] for k in known], dtype=np.float64)
+    if (given == given[0]).all():
+        return clamped_value(slider)
     shares = _shares(slider, sources, solution)[known]
-    if (given == given[0]).all() or not shares.sum() > 0:
+    if not shares.sum() > 0:
         return clamped_value(slider)
     mean = round(float(shares @ given / shares.sum()), _DECIMALS)
     return min(max(mean, slider.minimum), slider.maximum)
