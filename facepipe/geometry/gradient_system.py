@@ -122,6 +122,7 @@ class _Block:
     points: IntArray  # (p,) into all points
     divergence: Any  # (p, e + b) sparse: transposed incidence times weights; columns: all edges, then all bridges
     laplacian: Any  # (p, p) sparse: the divergence of the points' own differences
+    component: IntArray  # (p,) number of the connected component
 
 
 class GradientSystem:
@@ -228,23 +229,42 @@ class _Held:
         self.points = block.points[self.columns]
         equations = block.laplacian[self.columns]  # symmetric: rows are columns
         rows = _used(equations)  # equations that the moving points have a part in
-        self._squeezed = equations[:, rows].tocsr()
+        squeezed = equations[:, rows].tocsr()
+        # Where a component moves altogether its equations hold to the bit, and need no squares: loose parts of a head's
+        # shapes then take a third of the time. All but a held point do so too.
+        moved = np.bincount(block.component[self.columns], minlength=len(block.points))
+        whole = (moved == np.bincount(block.component, minlength=len(block.points)))[block.component[self.columns]]
+        self._tested = _with_units(squeezed, np.searchsorted(rows, self.columns), whole | (held is not None))
         divergence = block.divergence[rows]
         touched = _used(divergence)
         self.edges, self.bridges = touched[touched < edge_count], touched[touched >= edge_count] - edge_count
         self._divergence = divergence[:, touched].tocsr()
         self._given = None if held is None else block.laplacian[rows][:, [held]].tocsr()
-        self._factor: Factor = factorise(self._squeezed @ self._squeezed.T, solver)
+        self._factor: Factor = factorise(self._tested @ squeezed.T, solver)
 
     def solve(self, vectors: FloatArray, anchored: FloatArray | None = None) -> FloatArray:
         right = self._divergence @ vectors
         if self._given is not None and anchored is not None and anchored.any():
             right = right - self._given @ anchored[None]
-        return self._factor.solve(self._squeezed @ right)
+        return self._factor.solve(self._tested @ right)
 
     def factored(self, right: FloatArray) -> FloatArray:
         """(p, m) solutions of the bi-Laplacian itself."""
         return self._factor.solve(right)
+
+
+def _with_units(matrix: Any, places: IntArray, chosen: BoolArray) -> Any:
+    """A sparse matrix (p, r) whose `chosen` rows (p,) have but a 1, each at its place (p,)."""
+    from scipy.sparse import csr_array
+
+    if not chosen.any():
+        return matrix
+    count = len(places)
+    units = csr_array((chosen.astype(np.float64), places, np.arange(count + 1)), shape=matrix.shape)
+    kept = csr_array(
+        (matrix.data * np.repeat(~chosen, np.diff(matrix.indptr)), matrix.indices, matrix.indptr), matrix.shape
+    )
+    return kept + units
 
 
 def _used(matrix: Any) -> IntArray:
@@ -257,6 +277,7 @@ def _used(matrix: Any) -> IntArray:
 def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: BoolArray) -> _Block:
     """The block of the points `inside`; bridges end in their followers alone, leaders are given."""
     from scipy.sparse import csr_array, vstack
+    from scipy.sparse.csgraph import connected_components
 
     points, rows, count = np.flatnonzero(inside), np.flatnonzero(inside[edges[:, 0]]), len(bridges.followers)
     inner = incidence(np.searchsorted(points, edges[rows]), len(points))
@@ -266,9 +287,11 @@ def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: BoolA
     row_weights = np.concatenate([weights[rows], bridges.weights])
     divergence = gradient.T.multiply(row_weights[None]).tocsr()
     columns = np.concatenate([rows, len(edges) + np.arange(count)])
+    laplacian = (divergence @ gradient).tocsr()
     everywhere = (divergence.data, columns[divergence.indices], divergence.indptr)
     return _Block(
         points=points,
         divergence=csr_array(everywhere, shape=(len(points), len(edges) + count)),
-        laplacian=(divergence @ gradient).tocsr(),
+        laplacian=laplacian,
+        component=connected_components(laplacian, directed=False)[1],
     )

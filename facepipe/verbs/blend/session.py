@@ -97,6 +97,7 @@ def pair_sculpts(
         for weight, name in _weights([one for own in named[counted] for one, _, _ in own.get(shape, ())]):
             # (K, n, 3) offsets at a weight of the shape; 0 in sources without it
             offsets: FloatArray = np.zeros(sources.points.shape)
+            offsets: FloatArray = np.zeros(sources.points.shape)
             for k, own in enumerate(named):
                 for blendshape, start, linear in own.get(shape, ()):
                     offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
