@@ -96,11 +96,10 @@ def pair_sculpts(
         transferred += [(shape, sources.names[k]) for k in lack if shape in lost and motion in (None, k)]
         for weight, name in _weights([one for own in named[counted] for one, _, _ in own.get(shape, ())]):
             # (K, n, 3) offsets at a weight of the shape; 0 in sources without it
-            offsets: FloatArray = np.zeros(sources.points.shape)
-            offsets: FloatArray = np.zeros(sources.points.shape)
+            offsets = np.zeros(sources.points.shape)
             for k, own in enumerate(named):
-                for blendshape, start, linear in own.get(shape, ()):
-                    offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
+                for blendshape, first, turn in own.get(shape, ()):
+                    offsets[k, first + blendshape.point_indices] = _at(blendshape, weight) @ turn.T
             # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
             lengths = np.linalg.norm(offsets[counted], axis=2) * sources.mm_per_unit
             points = np.flatnonzero((lengths > threshold_mm).any(axis=0))
