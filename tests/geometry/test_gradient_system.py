@@ -75,6 +75,17 @@ def test_moving_agrees_with_dense_least_squares(solver: Solver) -> None:
     np.testing.assert_allclose(solved[np.argsort(held.points)], dense, atol=1e-9)
 
 
+def test_parts_and_faces_that_move_altogether_go_as_the_neutral_does() -> None:
+    points, system = two_parts()
+    random, moving = np.random.default_rng(4), np.ones(len(points), bool)
+    vectors = random.normal(size=(len(system.edges), 3))
+    across, anchored = random.normal(size=(len(system.bridges.followers), 3)), random.normal(size=3)
+    held = system.moving(moving)
+    expected = system.solve(vectors, across, anchored)[held.points]
+    offsets = held.solve(vectors[held.edges], across[held.bridges], anchored)
+    np.testing.assert_allclose(offsets, expected, atol=1e-10)
+
+
 def test_twice_multiplied_system_has_the_same_solution() -> None:
     """The document's S605' as written changes nothing: M^T D lies in the range of M^T M."""
     wanted = np.random.default_rng(3).normal(size=(len(EDGES), 3))
