@@ -392,6 +392,8 @@ class Material:
     ior: float = 1.5
     clearcoat: float | TextureInput = 0.0  # a clear layer over it, such as tears or lip gloss
     clearcoat_roughness: float | TextureInput = 0.01
+    sheen_color: Color = (0.0, 0.0, 0.0)  # of fine hairs on it: glTF's KHR_materials_sheen, which USD has no word for
+    sheen_roughness: float = 0.0
     unlit: bool = False  # shown as its colour is, without light: glTF's KHR_materials_unlit, which USD has no word for
     variants: Mapping[str, str] = field(default_factory=dict)  # variant of the face -> material shown in its place
     wrinkles: Wrinkles | None = None

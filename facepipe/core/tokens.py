@@ -58,6 +58,8 @@ WRINKLES_UV_SET = "facepipe:wrinkles:uvSet"
 
 ARRAYS_OF = "facepipe:arraysOf"  # in the custom data of a layer: the file whose big arrays it holds
 UNLIT = "facepipe:unlit"  # customData of a Material: shown as its colours are, without light
+SHEEN_COLOR = "facepipe:sheenColor"  # customData of a Material: linear, what its fine hairs send back
+SHEEN_ROUGHNESS = "facepipe:sheenRoughness"  # customData of a Material
 DATA_LABEL = "facepipe:dataLabel"  # customData of a Mesh: what its source calls the geometry
 REGION_PRIMVAR = "facepipe:region:"  # a primvar, so "primvars:" comes before it in full attribute names
 SEAM_RESIDUAL = "facepipe:seamResidual"  # a primvar: float per point, millimetres

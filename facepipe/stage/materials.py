@@ -192,9 +192,19 @@ def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
         clearcoat=_number(surface, "clearcoat", 0.0, images),
         clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01, images),
         unlit=bool(prim.GetCustomDataByKey(tokens.UNLIT)),
+        **_sheen(prim),
         wrinkles=_read_wrinkles(prim, images),
         label=label(prim, name),
     )
+
+
+def _sheen(prim: Usd.Prim) -> dict[str, Any]:
+    """The sheen of a Material prim, by field."""
+    color, rough = (prim.GetCustomDataByKey(key) for key in (tokens.SHEEN_COLOR, tokens.SHEEN_ROUGHNESS))
+    if color is None:
+        return {}
+    red, green, blue = color
+    return {"sheen_color": (float(red), float(green), float(blue)), "sheen_roughness": float(rough or 0.0)}
 
 
 def _read_wrinkles(prim: Usd.Prim, images: Images) -> Wrinkles | None:
@@ -368,6 +378,9 @@ def author_materials(
         author_name(prim.GetPrim(), material)
         if material.unlit:
             prim.GetPrim().SetCustomDataByKey(tokens.UNLIT, True)
+        if any(material.sheen_color):
+            prim.GetPrim().SetCustomDataByKey(tokens.SHEEN_COLOR, Gf.Vec3f(*material.sheen_color))
+            prim.GetPrim().SetCustomDataByKey(tokens.SHEEN_ROUGHNESS, float(material.sheen_roughness))
         if material.wrinkles is not None:
             _author_wrinkles(prim.GetPrim(), material.wrinkles, textures)
         surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))

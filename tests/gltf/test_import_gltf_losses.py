@@ -104,7 +104,7 @@ def with_rounded_point_numbers(builder: Builder) -> None:
 
 
 def with_extensions(builder: Builder) -> None:
-    builder.root["materials"][0]["extensions"] = {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_sheen": {}}
+    builder.root["materials"][0]["extensions"] = {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_transmission": {}}
 
 
 def with_mean_normals(builder: Builder) -> None:
@@ -126,7 +126,7 @@ def with_mean_normals(builder: Builder) -> None:
         (with_a_ninth_uv_set, ["the attribute 'TEXCOORD_8' is left out"]),
         (with_one_side_of_two, ["only some of its materials are double-sided"]),
         (with_tinted_material, ["vertex colours tint a material"]),
-        (with_extensions, ["the extension 'KHR_materials_sheen' is left out"]),
+        (with_extensions, ["the extension 'KHR_materials_transmission' is left out"]),
         (with_ktx2, ["textures[0]: its image is KTX2 (KHR_texture_basisu), which is not decoded: left out"]),
         (with_rounded_point_numbers, ["_FACEPIPE_POINT with numbers other than whole ones from 0 to 2^24: left out"]),
         (with_mean_normals, ["normal offsets differ at seams"]),

@@ -67,6 +67,8 @@ def test_tokens_are_the_schemas_attributes() -> None:
         tokens.ARRAYS_OF,
         tokens.DATA_LABEL,
         tokens.UNLIT,
+        tokens.SHEEN_COLOR,
+        tokens.SHEEN_ROUGHNESS,
     }  # plain primvars of results, data of layers and prims
     assert set(own) - others <= names
 

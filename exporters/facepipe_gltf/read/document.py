@@ -54,6 +54,7 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_texture_transform",
         "KHR_materials_clearcoat",
         "KHR_materials_ior",
+        "KHR_materials_sheen",
         "KHR_materials_unlit",
         "KHR_animation_pointer",
         "KHR_materials_emissive_strength",

@@ -1,6 +1,6 @@
 """glTF materials as UsdPreviewSurface inputs, textures as image bytes.
 
-Source: glTF 2.0 section 3.9 (materials), KHR_materials_ior, KHR_materials_unlit, KHR_materials_emissive_strength,
+Source: glTF 2.0 section 3.9 (materials), KHR_materials_ior, _sheen, _unlit, _emissive_strength,
 KHR_materials_pbrSpecularGlossiness with its appendix B (conversion), KHR_texture_transform, EXT_texture_webp, _avif.
 """
 
@@ -37,6 +37,7 @@ _DEFAULT = "default_material"
 _IMPLEMENTED = {
     "KHR_materials_clearcoat",
     "KHR_materials_ior",
+    "KHR_materials_sheen",
     "KHR_materials_unlit",
     "KHR_materials_emissive_strength",
     "KHR_materials_pbrSpecularGlossiness",
@@ -255,7 +256,21 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         unlit=value.extension("KHR_materials_unlit") is not None,
         wrinkles=_wrinkles(textures, value),
         **clearcoat,
+        **_sheen(document, value),
     )
+
+
+def _sheen(document: Document, value: Value) -> dict[str, Any]:
+    """Colour and roughness of a sheen by field; its pictures are named and left out."""
+    sheen = value.extension("KHR_materials_sheen")
+    if sheen is None:
+        return {}
+    if any(sheen.get(f"sheen{kind}Texture") is not None for kind in ("Color", "Roughness")):
+        document.warn(sheen, "its pictures are left out")
+    red, green, blue = _factors(sheen, "sheenColorFactor", 3, 0.0)
+    if not (red or green or blue):  # its roughness doesn't count without
+        return {}
+    return {"sheen_color": (red, green, blue), "sheen_roughness": _factor(sheen, "sheenRoughnessFactor", 0.0)}
 
 
 def _wrinkles(textures: _Textures, value: Value) -> Wrinkles | None:
