@@ -15,7 +15,8 @@ from facepipe.parts import Color, Material, Texture, TextureInput
 from facepipe_gltf.images import Pixels, packed_image
 
 _ORM = ("occlusion", "roughness", "metallic")  # red, green, blue of one picture
-PICTURED = ("diffuse_color", "opacity", *_ORM, "normal")  # what an atlas holds; all else of its materials is the same
+# what an atlas holds; all else of its materials is the same
+PICTURED = ("diffuse_color", "opacity", *_ORM, "normal", "clearcoat")
 _GUTTER = 8  # pixels around each picture, so that smaller levels of it don't mix
 _LEAST = 64  # pixels a side, of which the gutter takes a quarter
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
@@ -65,6 +66,10 @@ class Atlas:
                 if not constant[field] or isinstance(getattr(first, field), TextureInput)
             }
             found = replace(found, **values)
+        coat = first.clearcoat
+        if isinstance(coat, TextureInput) or any(one.clearcoat != coat for one in self._materials):
+            cells = [np.stack([self._scaled(one.clearcoat)] * 3, axis=-1) for one in self._materials]
+            found = replace(found, clearcoat=replace(self._input(f"{name}_coat", cells), channels="r"))
         normal = next((one.normal for one in self._materials if one.normal is not None), None)
         if normal is not None:
             own = self._input(f"{name}_normal", [self._normal(one) for one in self._materials])

@@ -240,7 +240,9 @@ class _Writer:
             parts = self.parts = replace(parts, animations=tuple(resampled_clips), frames_per_second=options.fps)
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=bool(options.meshopt))
-        self.materials = MaterialWriter(parts.materials, self.tangents, webp=options.texture_format == "webp")
+        self.materials = MaterialWriter(
+            parts.materials, self.tangents, options.reader, webp=options.texture_format == "webp"
+        )
         shapes = () if options.mode == "skin" else select(list(parts.shapes), options.shapes, "shapes")
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
@@ -395,6 +397,7 @@ class _Writer:
             dropped=(
                 *dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
                 *self._uncolored(),
+                *self.materials.dropped,
             ),
             error_mm=self._error_mm(meshes),
             places=self._places(meshes, skins),

@@ -17,11 +17,13 @@ from facepipe.core.images import open_image
 from facepipe.core.images import pixels as decoded
 from facepipe.parts import Material, Mesh, Texture, TextureInput, exact
 from facepipe.records import Json
+from facepipe_gltf.options import Engine
 
 Pixels = npt.NDArray[np.uint8]
 
 VARIANTS = "KHR_materials_variants"
 WEBP = "EXT_texture_webp"
+_CLEARCOAT, _SHEEN = "KHR_materials_clearcoat", "KHR_materials_sheen"
 _WRAP = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
@@ -169,14 +171,24 @@ class Surface:
 class MaterialWriter:
     """Converts the face's materials as meshes ask for them; one glTF material per material, UV layout and sidedness."""
 
-    def __init__(self, materials: Sequence[Material], tangents: bool, *, webp: bool) -> None:
+    def __init__(self, materials: Sequence[Material], tangents: bool, engine: Engine, *, webp: bool) -> None:
         self.textures = Textures(webp=webp)
+        self._engine = engine
+        self._unread: dict[str, list[str]] = {}  # extension -> materials that are without for the engine's sake
         self._tangents = tangents
         self.materials: list[Json] = []
         self.extensions: set[str] = set()
         self._by_name = {material.name: material for material in materials}
         self._surfaces: dict[tuple[str | None, tuple[str, ...], bool, bool], Surface] = {}
         self.variants = tuple(dict.fromkeys(variant for material in materials for variant in material.variants))
+
+    @property
+    def dropped(self) -> tuple[str, ...]:
+        """A line for each extension that the engine doesn't read: it shows these materials without either way."""
+        return tuple(
+            f"{kind} of {len(names)} material{'s' * (len(names) > 1)}: {self._engine.title} does not read it"
+            for kind, names in self._unread.items()
+        )
 
     @property
     def names(self) -> tuple[str | None, ...]:
@@ -234,6 +246,7 @@ class MaterialWriter:
             if source.ior != 1.5:
                 self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
             self._clearcoat(result, source, uv_names)
+            self._sheen(result, source)
             self._wrinkles(result, source, uv_names)
             if source.unlit:
                 self._extend(result, "KHR_materials_unlit", {})
@@ -369,6 +382,9 @@ class MaterialWriter:
     def _clearcoat(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         if material.clearcoat == 0:
             return
+        if not self._engine.clearcoat:
+            self._unread.setdefault(_CLEARCOAT, []).append(material.name)
+            return
         coat: Json = {}
         inputs = (("clearcoat", material.clearcoat), ("clearcoatRoughness", material.clearcoat_roughness))
         for place, (name, value) in enumerate(inputs):
@@ -379,7 +395,17 @@ class MaterialWriter:
             image = self.textures.whole(value.texture) if whole else self._merge(material, name, [_channel(value)] * 3)
             if image is not None:
                 coat[f"{name}Texture"] = self.textures.info(image, value, uv_names)
-        self._extend(result, "KHR_materials_clearcoat", coat)
+        self._extend(result, _CLEARCOAT, coat)
+
+    def _sheen(self, result: Json, material: Material) -> None:
+        if not any(material.sheen_color) or material.unlit:
+            return
+        if not self._engine.sheen:
+            self._unread.setdefault(_SHEEN, []).append(material.name)
+            return
+        color = self._factors(material, "sheenColor", material.sheen_color)
+        (rough,) = self._factors(material, "sheenRoughness", [material.sheen_roughness])
+        self._extend(result, _SHEEN, {"sheenColorFactor": color, "sheenRoughnessFactor": rough})
 
     def _wrinkles(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         """What glTF has no word for, in extras: other readers show the skin without."""

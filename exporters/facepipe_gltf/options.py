@@ -33,6 +33,8 @@ class Engine:
     quantized: bool = True  # it reads KHR_mesh_quantization
     meshopt: bool = False  # it reads EXT_meshopt_compression
     webp: bool = False  # it reads EXT_texture_webp
+    clearcoat: bool = True  # it reads KHR_materials_clearcoat
+    sheen: bool = True  # it reads KHR_materials_sheen
     lods: bool = True  # it shows one level of those that MSFT_lod names, and not all
     target_normals: bool = False  # it shades by the normals of morph targets, and computes none itself
     changed_names: tuple[tuple[str, str], ...] = ()  # patterns in a node's name, and what they become
@@ -48,6 +50,8 @@ ENGINES: Mapping[str, Engine] = {
         sparse=False,
         quantized=False,
         lods=False,
+        clearcoat=False,
+        sheen=False,
         target_normals=True,
         changed_names=((r'[.:@/"]', ""),),
         joint_name=_in_godot,
@@ -61,7 +65,7 @@ ENGINES: Mapping[str, Engine] = {
         changed_names=((r"\s", "_"), (r"[\[\].:/]", "")),
     ),
     "babylon": Engine(title="Babylon.js", meshopt=True, webp=True, target_normals=True),
-    "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, target_normals=True),
+    "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, sheen=False, target_normals=True),
     "unreal": Engine(title="Unreal (Interchange)", changed_names=((r"[\s.]", "_"),)),
     "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False, lods=False),
 }
