@@ -330,6 +330,24 @@ def three(folder: Path) -> Image.Image:
 
 
 @of_docs
+def shading(folder: Path) -> Image.Image:
+    """An eye in three.js as loaded and with its highlights added, in Babylon.js, and in facepipe's picture."""
+    file = person(folder, 0)
+    facepipe.export(file, folder / "eye.glb")
+    face = facepipe.open(file)
+    parts = face.parts()
+    eye = next(mesh for mesh in parts.meshes if mesh.name == "EyeballLeft")
+    camera = portrait(np.asarray(eye.points), "front", 320, 320)
+    cell = {"file": "eye.glb", **in_three(camera, face.meters_per_unit)}
+    drawn = [
+        *zip(("three.js", "three.js, added"), in_browser(folder, [cell, cell | {"added": True}], 320), strict=True),
+        ("Babylon.js", in_browser(folder, [cell], 320, BABYLON)[0]),
+        ("facepipe", picture(parts, None, options(320, camera=camera))),
+    ]
+    return contact_sheet(drawn, columns=4)
+
+
+@of_docs
 def hair(folder: Path) -> Image.Image:
     """Hair from the front, the side and behind, in facepipe's pictures, in three.js and in Babylon.js."""
     bald, drawn = bare(make_head(np.zeros(MODES))), []
@@ -646,6 +664,15 @@ for (const [i, cell] of cells.entries()) {
       if (index !== undefined) one.morphTargetInfluences[index] = value;
     }
   });
+  const corneas = [];
+  head.traverse((one) => cell.added && one.material?.name === "Cornea" && corneas.push(one));
+  for (const cornea of corneas) {
+    const gloss = cornea.clone();
+    gloss.material = cornea.material.clone();
+    Object.assign(gloss.material, { blending: THREE.AdditiveBlending, map: null, opacity: 1 });
+    gloss.material.color.set(0);
+    cornea.parent.add(gloss);
+  }
   if (vrm) {
     vrm.humanoid.resetNormalizedPose();
     vrm.expressionManager.resetValues();
