@@ -6,7 +6,7 @@ machine alone, until Ctrl-C.
 
 examples:
   facepipe view head.usdc
-  facepipe view head.usdc other.usda --port 8000
+  facepipe view head.usdc other.usdc --port 8000
   facepipe view head.glb --onnx sliders.onnx --no-browser
 """
 

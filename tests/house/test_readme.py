@@ -49,7 +49,7 @@ def test_the_readme_runs(tmp_path: Path) -> None:
     assert {
         "smile.fpb",
         "person.png",
-        "levels.usda",
+        "levels.usdc",
         "child.glb",
         "child.onnx",
         "points.npz",
@@ -65,7 +65,7 @@ def test_the_tour_runs(tmp_path: Path) -> None:
     folder = tmp_path / "project"
     made = run_lines(folder, TOUR, BLEND, BONES)
     assert {
-        "head.usda",
+        "head.usdc",
         "head.glb",
         "head.onnx",
         "points.npz",
@@ -78,7 +78,7 @@ def test_the_tour_runs(tmp_path: Path) -> None:
         "jaw.fpb",
     } <= made
     kept = read_kept(folder / "live.usda", BlendFaces)  # made in Python as the page says, it can be edited
-    assert [source.name for source in kept.values["sources"]] == ["head.usda", "other.usda"]
+    assert [source.name for source in kept.values["sources"]] == ["head.usdc", "other.usdc"]
 
 
 @pytest.mark.slow
