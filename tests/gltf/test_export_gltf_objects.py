@@ -67,7 +67,9 @@ def marked(document: Gltf) -> None:
     """Changes of each kind, as a plug-in makes them."""
     document.asset.extras["studio"] = {"shot": 12, "takes": []}
     document.extensionsUsed.append("KHR_materials_unlit")
-    document.materials[0].extensions["KHR_materials_unlit"] = {}
+    document.materials[0].extensions = {
+        "KHR_materials_unlit": {}
+    }  # in the place of others, with which it makes no sense
     document.nodes[0].name = "RENAMED"
     lens = pygltflib.Perspective(yfov=0.5, znear=0.01)
     document.cameras.append(pygltflib.Camera(type="perspective", perspective=lens))

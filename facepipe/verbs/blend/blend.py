@@ -20,7 +20,7 @@ examples:
   facepipe blend hero.fbx anna.usdc -o hero.glb --set eyes=0.2,0.8
   facepipe blend a.usda b.usda -o c.usda --set eyes=0.8,0.2 --set mouth=0.3,0.7 --default 0.5,0.5
   facepipe blend --edit c.usda --set eyes=0.6,0.4 --lock mouth=2 --force
-  facepipe blend --edit c.usda --replace 2=other.usdc -o d.usda
+  facepipe blend --edit c.usda --replace 2=other.usda -o d.usda
   facepipe blend --match c.usda a.usda b.usda -o e.usda
   facepipe blend a.usda b.usda -o f.usda --default 0.8,0.2 --motion-of 2
 """
