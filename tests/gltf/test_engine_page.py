@@ -60,7 +60,7 @@ def turned(face: Face) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["three", "babylon"])
 def test_modules_run_as_they_stand(engine: str, made: Path, tmp_path: Path) -> None:
-    node, face = node_packages(), facepipe.open(made / "head.usda")
+    node, face = node_packages(), facepipe.open(made / "head.usdc")
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     for name, text in named_blocks("js").items():
         (tmp_path / name).write_text(text)
@@ -80,7 +80,7 @@ def test_modules_run_as_they_stand(engine: str, made: Path, tmp_path: Path) -> N
 @pytest.mark.slow
 def test_the_script_runs_as_it_stands(made: Path, tmp_path: Path) -> None:
     godot_server()
-    face, glb = facepipe.open(made / "head.usda"), tmp_path / "head.glb"
+    face, glb = facepipe.open(made / "head.usdc"), tmp_path / "head.glb"
     facepipe_gltf.export(face, glb, facepipe_gltf.Options(engine="godot"))
     project = godot_project(tmp_path / "project", {"head.glb": glb.read_bytes()})
     (project / "face.gd").write_text(named_blocks("gdscript")["face.gd"])
