@@ -268,9 +268,11 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
     if output.suffix.lower() == ".usda":
-        from facepipe.stage.array_files import check_arrays_file
+        from facepipe.stage.array_files import arrays_file, check_arrays_file
 
         check_arrays_file(output)
+        if arrays_file(output).exists() and not overwrite:  # of a text that was renamed, perhaps, and reads them still
+            raise InputError(arrays_file(output), "exists, expected a new file (or --force)")
     if any(given.exists() and output.exists() and output.samefile(given) for given in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not overwrite:

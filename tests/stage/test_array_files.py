@@ -122,6 +122,15 @@ def test_another_file_in_the_place_of_arrays_is_kept(head: FaceParts, tmp_path: 
     assert [one.name for one in tmp_path.iterdir()] == [other.name]
 
 
+def test_arrays_of_a_text_that_was_renamed_are_kept(file: Path, tmp_path: Path, capsys: Capsys) -> None:
+    file.rename(tmp_path / "b.usda")
+    before = (tmp_path / "a_arrays.usdc").read_bytes()
+    said = failed(capsys, "sample", file, "--textures", "0", folder=tmp_path)
+    assert "a_arrays.usdc: exists, expected a new file (or --force)" in said
+    assert (tmp_path / "a_arrays.usdc").read_bytes() == before
+    assert facepipe.open(tmp_path / "b.usda").meshes
+
+
 def test_results_over_a_head_of_two_files_are_small(file: Path) -> None:
     facepipe.sliders(file, out=file.with_name("over.usda"), values={"smile": 1.0})
     assert file.with_name("over.usda").stat().st_size < 10_000

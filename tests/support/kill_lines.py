@@ -184,7 +184,7 @@ LINES: dict[str, Line] = {
     "sample": Line(
         words=("sample", "out.usda", "--force"),
         uses=(),
-        outputs=("out.usda",),
+        outputs=("out.usda", "out_arrays.usdc"),
         old=(("sample", "out.usda", "--seed", "1"),),
         **_TEXTURES,
     ),
