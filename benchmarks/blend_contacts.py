@@ -29,7 +29,7 @@ import facepipe
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.contacts import Sheet
-from facepipe.geometry.polygons import border_points, components, point_normals, point_triangles
+from facepipe.geometry.polygons import components, point_normals, point_triangles
 from facepipe.geometry.vectors import unit_vectors
 from facepipe.geometry.winding_numbers import WindingNumbers
 from facepipe.rig.conventions import ARKIT_SHAPES
@@ -52,7 +52,9 @@ _STEEPS = np.array(list(product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=3)))
 _WAYS = unit_vectors(_STEEPS[np.abs(_STEEPS).max(axis=1) == 1.0])
 _WITHIN = np.cos(np.radians(45.0))  # of straight back
 _OFF_MM = 0.02  # from skin, where it is asked whether that lies in flesh
-_BEHIND_MM = 12.0  # of a part: skin farther away is not looked at
+# Of a part: skin farther away is not looked at. It goes all the way down where it goes deeper; but 12 mm above that of
+# the chin lies the floor of the mouth, which faces up.
+_BEHIND_MM = 6.0
 
 _OUTSIDE_MM = 0.7  # of the plane at the nearest point
 
@@ -226,11 +228,8 @@ def _depths(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntAr
     if len(rows):
         nearest = SurfaceSearch(surface, local).closest(points[skin[rows]])
         shares = place_shares(nearest, surface, local)
-        # beyond the rim of an open sheet, as gums are below, no side is the inside
-        rim = np.isin(local[nearest.triangles], border_points(len(surface), local)) | (shares == 0.0)
         normals = unit_vectors(np.einsum("mk,mkc->mc", shares, own[local[nearest.triangles]]))
         inside = np.einsum("mi,mi->m", points[skin[rows]] - nearest.places, normals) < 0
-        inside &= ~rim.all(axis=1)
         depths[rows[inside]] = nearest.distances[inside]
     return depths
 

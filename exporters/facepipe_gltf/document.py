@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
-import subprocess
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -24,28 +23,22 @@ from facepipe_gltf.baking import Baked, Sculpt, bake, extras, storage_error, wei
 from facepipe_gltf.buffers import MESHOPT, Buffers, Chunk, Encoding
 from facepipe_gltf.losses import check, dropped, influence_error, listed_meshes, skin_warnings
 from facepipe_gltf.materials import VARIANTS, WEBP, Image, MaterialWriter
+from facepipe_gltf.node_packages import answer_of
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
 from facepipe_gltf.record import record_of
 from facepipe_gltf.record_format import Record, packed
 
-_WHERE = "--meshopt"
+_WHERE, _PACKAGE = "--meshopt", "meshoptimizer"
 _VERTICES, _INDICES = 34962, 34963
 _SIZES = {5123: 2, 5125: 4}
 _ALIGNMENT = 4
 _PROGRAM = """
-const { pathToFileURL } = require("url");
-const found = (name) => {
-  try { return pathToFileURL(require.resolve(name, { paths: roots })).href; } catch (error) { process.exit(4); }
-};
-(async () => {
   const { MeshoptEncoder } = await import(found("meshoptimizer/encoder"));
   const { MeshoptDecoder } = await import(found("meshoptimizer/decoder"));
   await Promise.all([MeshoptEncoder.ready, MeshoptDecoder.ready]);
-  const chunks = [];
-  for await (const chunk of process.stdin) chunks.push(chunk);
-  const input = Buffer.concat(chunks), length = input.readUInt32LE(0);
+  const input = await received(), length = input.readUInt32LE(0);
   let at = 4 + length;
   for (const { count, size, mode } of JSON.parse(input.subarray(4, at).toString())) {
     const source = new Uint8Array(input.subarray(at, at += count * size));
@@ -56,9 +49,7 @@ const found = (name) => {
     head.writeUInt32LE(packed.length);
     process.stdout.write(head), process.stdout.write(packed), process.stdout.write(again);
   }
-})().catch((error) => { console.error(String(error)); process.exitCode = 3; });
 """
-_NOT_INSTALLED = 4
 _LODS = "MSFT_lod"
 _COUNTED = ("vertices", "triangles", "primitives", "targets")
 
@@ -91,7 +82,7 @@ def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
 def meshopt_missing() -> str | None:
     """What compressing lacks here, as a message has it; None: nothing."""
     try:
-        _run(struct.pack("<I", 2) + b"[]")
+        answer_of(_WHERE, _PACKAGE, _PROGRAM, struct.pack("<I", 2) + b"[]")
     except (InputError, ExportError) as error:
         return error.what
     return None
@@ -100,7 +91,8 @@ def meshopt_missing() -> str | None:
 def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
     """Each stream compressed, and checked with the package's decoder."""
     header = json.dumps([{"count": one.elements, "size": one.size, "mode": one.mode} for one in streams]).encode()
-    answer = _run(b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)]))
+    request = b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)])
+    answer = answer_of(_WHERE, _PACKAGE, _PROGRAM, request)
     at = 0
     for stream in streams:
         (length,) = struct.unpack_from("<I", answer, at)
@@ -109,26 +101,6 @@ def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
         if again != stream.data:
             raise ExportError(_WHERE, f"{stream.mode} are not the same when decoded again, expected no loss")
         yield data
-
-
-def _run(request: bytes) -> bytes:
-    from facepipe.core.policy.children import find_program
-    from facepipe_gltf.validation import run_node
-
-    node = find_program("node")
-    if node is None:
-        raise InputError(_WHERE, "needs node (20 or newer) on the PATH, and its package meshoptimizer")
-    try:
-        done = run_node(node, _PROGRAM, request=request)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise ExportError(_WHERE, f"node did not compress the file: {error}") from None
-    if done.returncode == _NOT_INSTALLED:
-        how = "`npm install --global meshoptimizer`, or NODE_PATH with the folder that holds it"
-        raise InputError(_WHERE, f"node has no package meshoptimizer, expected {how}")
-    if done.returncode:
-        lines = done.stderr.decode(errors="replace").strip().splitlines()
-        raise ExportError(_WHERE, f"node did not compress the file: {lines[-1][:200] if lines else done.returncode}")
-    return done.stdout
 
 
 def lower_levels(face: HasParts) -> tuple[FaceParts, ...]:
@@ -154,6 +126,7 @@ class Document:
     dropped: tuple[str, ...]
     error_mm: float | None
     places: Places
+    chosen: tuple[str, ...] = ()  # what was done to it, one line each
 
 
 class Places(NamedTuple):
@@ -179,6 +152,10 @@ def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (
         check(one)
     with np.errstate(over="ignore"):  # the buffers refuse infinities
         document = _Writer(parts, options, tangents, levels).document()
+    if options.texture_format == "ktx2":
+        from facepipe_gltf.ktx2 import with_ktx2
+
+        document = with_ktx2(document)
     if not options.meshopt:
         return document
 

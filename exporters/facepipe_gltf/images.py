@@ -17,8 +17,9 @@ from facepipe.parts import FaceParts, Material, Texture, TextureInput
 
 Pixels = npt.NDArray[np.uint8]
 Format = Literal["jpeg", "webp", "png"]
+_Made = dict[tuple[bytes, str, bool, bool, float], Texture]
 
-_SUFFIX = {"jpeg": ".jpg", "webp": ".webp", "png": ".png"}
+_SUFFIX: Mapping[Format, str] = {"jpeg": ".jpg", "webp": ".webp", "png": ".png"}
 _STARTS = {"jpeg": b"\xff\xd8\xff", "webp": b"RIFF", "png": b"\x89PNG"}
 _COLORS = 256  # of a picture with alpha: a third of the bytes, and hair and whites of eyes have few
 _QUALITY = {"jpeg": 85, "webp": 82}
@@ -47,24 +48,26 @@ def packed_image(picture: Pixels, kind: Format, *, normals: bool = False, colors
     return stream.getvalue()
 
 
-def repacked(parts: FaceParts, kind: Format, size: int) -> FaceParts:
+def repacked(parts: FaceParts, kind: Literal[Format, "ktx2", "kept"] | None, size: int | None) -> FaceParts:
     """The face with pictures of at most `size` pixels a side; those with alpha are PNG where `kind` is JPEG.
 
     What can't be read stays as it is: the writer says so. A file that is small enough and smaller than the new one
     stays too.
+
+    :param kind: "kept" and None: what each is; "ktx2": as it is, or PNG, which the writer compresses
+    :param size: None: as large as they are
     """
-    made: dict[tuple[bytes, str, bool, bool, int], Texture] = {}
-    materials = tuple(_repacked(material, kind, size, made) for material in parts.materials)
+    made: _Made = {}
+    format_: Format | None = None if kind == "ktx2" or kind == "kept" else kind
+    materials = tuple(_repacked(material, format_, size or np.inf, made) for material in parts.materials)
     return replace(parts, materials=materials)
 
 
-def _repacked(
-    material: Material, kind: Format, size: int, made: dict[tuple[bytes, str, bool, bool, int], Texture]
-) -> Material:
+def _repacked(material: Material, kind: Format | None, size: float, made: _Made) -> Material:
     opacity = material.opacity
     clear = opacity.texture if isinstance(opacity, TextureInput) else None
 
-    def change(used: TextureInput, *, normals: bool, most: int) -> TextureInput:
+    def change(used: TextureInput, *, normals: bool, most: float) -> TextureInput:
         alpha = used.channels == "a" or (clear is not None and used.texture == clear)
         key = (used.texture.data, used.texture.name, alpha, normals, most)
         if key not in made:
@@ -73,7 +76,7 @@ def _repacked(
 
     inputs: Mapping[str, TextureInput] = material.textured
     changed: dict[str, Any] = {
-        name: change(used, normals=name == "normal", most=size // 2 if name in _SMALLER else size)
+        name: change(used, normals=name == "normal", most=size / 2 if name in _SMALLER else size)
         for name, used in inputs.items()
     }
     wrinkles = material.wrinkles
@@ -85,7 +88,7 @@ def _repacked(
     return replace(material, **changed)
 
 
-def _made(texture: Texture, kind: Format, most: int, *, alpha: bool, normals: bool) -> Texture:
+def _made(texture: Texture, kind: Format | None, most: float, *, alpha: bool, normals: bool) -> Texture:
     from PIL import Image as Pillow
 
     try:
@@ -93,8 +96,12 @@ def _made(texture: Texture, kind: Format, most: int, *, alpha: bool, normals: bo
     except InputError:
         return texture
     height, width = picture.shape[:2]
-    kind = "png" if alpha and kind == "jpeg" else kind
     shrunk = most / max(height, width)
+    if shrunk >= 1.0 and kind is None:
+        return texture
+    own: Format = next((one for one in _SUFFIX if texture.data.startswith(_STARTS[one])), "png")
+    made_as = kind or own
+    made_as = "png" if alpha and made_as == "jpeg" else made_as
     if shrunk < 1.0:
         shape = max(round(width * shrunk), 1), max(round(height * shrunk), 1)
         # channel by channel: Pillow would weigh colours by alpha, and those of clear texels are meant to be seen
@@ -103,8 +110,9 @@ def _made(texture: Texture, kind: Format, most: int, *, alpha: bool, normals: bo
             for channel in range(4)
         ]
         picture = np.stack([np.asarray(plane) for plane in planes], axis=-1)
-    data = packed_image(picture if alpha else picture[..., :3], kind, normals=normals, colors=_COLORS)
-    if shrunk >= 1.0 and texture.data.startswith(_STARTS[kind]) and len(texture.data) <= len(data):
+    colors = _COLORS if kind else 0
+    data = packed_image(picture if alpha else picture[..., :3], made_as, normals=normals, colors=colors)
+    if shrunk >= 1.0 and texture.data.startswith(_STARTS[made_as]) and len(texture.data) <= len(data):
         return texture
     stem = texture.name.rpartition(".")[0] or texture.name
-    return Texture(name=f"{stem}{_SUFFIX[kind]}", data=data)
+    return Texture(name=f"{stem}{_SUFFIX[made_as]}", data=data)

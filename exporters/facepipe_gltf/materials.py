@@ -22,12 +22,12 @@ from facepipe_gltf.options import Engine
 Pixels = npt.NDArray[np.uint8]
 
 VARIANTS = "KHR_materials_variants"
-WEBP = "EXT_texture_webp"
+WEBP, BASIS = "EXT_texture_webp", "KHR_texture_basisu"
 _CLEARCOAT, _SHEEN = "KHR_materials_clearcoat", "KHR_materials_sheen"
 _WRAP = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
+_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp", "image/ktx2": ".ktx2"}
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 

@@ -12,7 +12,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.records import Json
 from facepipe_gltf.buffers import DRACO, MESHOPT
-from facepipe_gltf.materials import WEBP
+from facepipe_gltf.materials import BASIS, WEBP
 from facepipe_gltf.raw import RawDocument, as_list, as_object, children, is_index, local_matrix, parents, world_matrices
 
 Problem = tuple[str, str]  # JSON path, message
@@ -20,7 +20,7 @@ Problem = tuple[str, str]  # JSON path, message
 _WEIGHT_SUM_TOLERANCE = 1e-3
 _REST_TOLERANCE = 1e-3
 _COMPARED = 256  # joints of a skin whose matrices are tried against all others'
-_SUPPORTED = ("KHR_mesh_quantization", DRACO, MESHOPT, WEBP)
+_SUPPORTED = ("KHR_mesh_quantization", DRACO, MESHOPT, WEBP, BASIS)
 
 
 def joints_of(skin: Json) -> list[int]:

@@ -33,6 +33,7 @@ class Engine:
     quantized: bool = True  # it reads KHR_mesh_quantization
     meshopt: bool = False  # it reads EXT_meshopt_compression
     webp: bool = False  # it reads EXT_texture_webp
+    ktx2: bool = False  # it reads KHR_texture_basisu
     clearcoat: bool = True  # it reads KHR_materials_clearcoat
     sheen: bool = True  # it reads KHR_materials_sheen
     lods: bool = True  # it shows one level of those that MSFT_lod names, and not all
@@ -41,7 +42,7 @@ class Engine:
     joint_name: Callable[[str], str] | None = None  # what a joint is called instead
 
 
-ANY = Engine(title="glTF 2.0", meshopt=True, webp=True)
+ANY = Engine(title="glTF 2.0", meshopt=True, webp=True, ktx2=True)
 ENGINES: Mapping[str, Engine] = {
     "blender": Engine(title="Blender", webp=True),
     "godot": Engine(
@@ -61,11 +62,12 @@ ENGINES: Mapping[str, Engine] = {
         influences=4,
         meshopt=True,
         webp=True,
+        ktx2=True,
         target_normals=True,
         changed_names=((r"\s", "_"), (r"[\[\].:/]", "")),
     ),
-    "babylon": Engine(title="Babylon.js", meshopt=True, webp=True, target_normals=True),
-    "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, sheen=False, target_normals=True),
+    "babylon": Engine(title="Babylon.js", meshopt=True, webp=True, ktx2=True, target_normals=True),
+    "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, ktx2=True, sheen=False, target_normals=True),
     "unreal": Engine(title="Unreal (Interchange)", changed_names=((r"[\s.]", "_"),)),
     "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False, lods=False),
 }
@@ -100,6 +102,7 @@ def check_engine(options: Options) -> None:
         ("--lods", options.lods and not engine.lods, "shows all levels at once"),
         ("--meshopt", options.meshopt and not engine.meshopt, "reads no EXT_meshopt_compression"),
         ("--texture-format", options.texture_format == "webp" and not engine.webp, "reads no EXT_texture_webp"),
+        ("--texture-format", options.texture_format == "ktx2" and not engine.ktx2, "reads no KHR_texture_basisu"),
     )
     for flag, asked, why in unread:
         if asked:
@@ -157,8 +160,10 @@ class Options:
         flag="--for",
     )
     customisable: bool = option(False, "with --for game or web: also the shapes that change who it is")
-    texture_format: Literal["jpeg", "webp", "png", "kept"] | None = option(
-        None, "pictures of materials (default kept, or as --for asks; JPEG only where they have no alpha)"
+    texture_format: Literal["jpeg", "webp", "png", "ktx2", "kept"] | None = option(
+        None,
+        "pictures of materials (default kept, or as --for asks; JPEG only where they have no alpha; ktx2 needs node "
+        "with its package ktx2-encoder)",
     )
     texture_size: int | None = option(
         None, "longest side of a picture (default 1024 with --for game or web, half of it a --lod)", 16, 16384, "pixels"

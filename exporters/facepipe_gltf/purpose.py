@@ -51,12 +51,9 @@ def purposed(name: str, parts: FaceParts, levels: Sequence[FaceParts], options: 
         kind = "jpeg"
         lines.append(f"pictures as JPEG: {engine.title} reads no WebP")
     if kind is not None and kind != "kept":
-        from facepipe_gltf.images import repacked
-
-        size = options.texture_size or purpose.size
-        every = tuple(repacked(one, kind, size) for one in every)
-        lines.append(f"--texture-format {kind} --texture-size {size}")
-    options = replace(options, texture_format=kind)
+        size = options.texture_size or purpose.size or None
+        options = replace(options, texture_format=kind, texture_size=size)
+        lines.append(f"--texture-format {kind}{f' --texture-size {size}' if size else ''}")
     if options.quantize is None and purpose.small and engine.quantized:
         options = replace(options, quantize=True)
         lines.append("--quantize")

@@ -148,9 +148,14 @@ def export(
         from facepipe_gltf.purpose import purposed
 
         parts, levels, options, chosen = purposed(options.purpose, parts, levels, options)
+    if options.texture_size or options.texture_format not in (None, "kept"):
+        from facepipe_gltf.images import repacked
+
+        parts, *levels_ = (repacked(one, options.texture_format, options.texture_size) for one in (parts, *levels))
+        levels = tuple(levels_)
     document = write(parts, options, levels=levels)
     report = report_of(document, save(document, target, on_document=on_document), delivered, start)
-    return replace(report, chosen=chosen)
+    return replace(report, chosen=(*chosen, *document.chosen))
 
 
 def report_of(
@@ -209,7 +214,7 @@ def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDoc
     with together(target):  # all or none, and then without the sidecars of the file that was there before
         # stale are those that this writer has named, and no others: the file may refer to a user's own
         stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
-        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg|webp)")
+        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg|webp|ktx2)")
         try:
             before: Json = read_json_object(target, _MOST_BYTES)
             uris = [entry.get("uri", "") for entry in [*before.get("buffers", []), *before.get("images", [])]]

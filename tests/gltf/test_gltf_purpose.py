@@ -183,6 +183,27 @@ def test_the_web_gets_webp_where_it_is_read(tmp_path: Path) -> None:
     assert "pictures as JPEG: Unreal (Interchange) reads no WebP" in report.chosen
 
 
+def test_pictures_change_without_a_purpose_too(tmp_path: Path) -> None:
+    """A size alone keeps what each picture is; a format alone keeps its size."""
+    plain, _ = exported(tmp_path, purpose=None)
+    mimes = {image["name"]: image["mimeType"] for image in plain.list("images")}
+    small, report = exported(tmp_path, purpose=None, texture_size=32)
+    assert {image["name"]: image["mimeType"] for image in small.list("images")} == mimes
+    assert max(map(max, sizes(small).values())) == 32 < max(map(max, sizes(plain).values()))
+    assert report.chosen == ()
+    for purpose in (None, "film"):
+        file, report = exported(tmp_path, purpose=purpose, texture_format="jpeg")
+        assert sizes(file) == sizes(plain)
+        assert "image/jpeg" in {image["mimeType"] for image in file.list("images")}
+    assert "--texture-format jpeg" in report.chosen
+
+
+def sizes(file: gltf_reader.Gltf) -> dict[str, tuple[int, int]]:
+    """By the name of an image."""
+    images = enumerate(file.list("images"))
+    return {image["name"]: Image.open(io.BytesIO(file.image(number))).size for number, image in images}
+
+
 def test_film_gets_everything(tmp_path: Path) -> None:
     file, report = exported(tmp_path, purpose="film")
     assert report.counts["shapes"] == len(person().shapes)

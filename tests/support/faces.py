@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 
 import numpy as np
+from PIL import Image
 
 from facepipe import parts as p
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Skeleton, Skin, UvSet
@@ -103,6 +105,15 @@ def spoiled(array: object, value: float = np.nan) -> np.ndarray:
     copy = np.array(array)
     copy.flat[-1] = value
     return copy
+
+
+def painted_face(picture: Image.Image, kind: str = "PNG") -> p.FaceParts:
+    """`tiny_face` with one material, whose colour is a picture, in a file of a kind that Pillow writes."""
+    stream, parts = io.BytesIO(), tiny_face()
+    picture.save(stream, kind)
+    colour = p.TextureInput(texture=p.Texture(name="skin.png", data=stream.getvalue()), channels="rgb")
+    mesh = replace(parts.meshes[0], material="skin")
+    return replace(parts, meshes=(mesh,), materials=(p.Material(name="skin", diffuse_color=colour),))
 
 
 def clipped_face() -> p.FaceParts:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 from command_line import exit_code
-from faces import tiny_face
+from faces import painted_face, tiny_face
+from PIL import Image
 from started import StartedPastTheHelperError, started
 
 from facepipe.cli import view_command
@@ -39,6 +40,11 @@ def trap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     for package in ("gltf-validator", "meshoptimizer"):
         (folder / "node_modules" / package).mkdir(parents=True)
         shutil.copy(folder / "first.js", folder / "node_modules" / package / "index.js")
+    for package in (folder / "ktx2-encoder", folder / "node_modules" / "ktx2-encoder"):
+        package.mkdir()
+        (package / "package.json").write_text('{"exports": {".": {"node": {"import": "./index.mjs"}}}}')
+        code = f"import {{ appendFileSync }} from 'fs'; appendFileSync({str(ran)!r}, 'ktx2');"
+        (package / "index.mjs").write_text(f"{code} export const encodeToKTX2 = () => new Uint8Array(1);\n")
     save_parts(tiny_face(), folder / "a.usda")
     monkeypatch.chdir(folder)
     for name in ("PATH", "PYTHONPATH", "PXR_PLUGINPATH_NAME", "NODE_PATH", "LD_LIBRARY_PATH"):
@@ -65,7 +71,9 @@ def test_validator_and_compression_by_node(trap: Path) -> None:
     assert exit_code("export", "a.usda", "-o", "a.glb") == 0
     assert exit_code("validate", "a.glb") in (0, 1)
     assert exit_code("export", "a.usda", "-o", "b.glb", "--meshopt") in (0, 2)
-    assert len(started) == (0 if children.find_program("node") is None else 2)
+    save_parts(painted_face(Image.new("RGB", (8, 8))), trap / "painted.usda")
+    assert exit_code("export", "painted.usda", "-o", "c.glb", "--texture-format", "ktx2") in (0, 2)
+    assert len(started) == (0 if children.find_program("node") is None else 3)
     assert all(Path(program).is_absolute() for program in started)
 
 

@@ -31,6 +31,7 @@ from facepipe.core.policy.bounds import Budget, same_file
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_values, read_bytes
 from facepipe_gltf.buffers import DRACO, MESHOPT
+from facepipe_gltf.materials import BASIS
 from facepipe_gltf.read.meshopt import decode
 
 LARGEST = 1e18  # number that is believed: products of two still fit in float32, which files and engines hold
@@ -39,7 +40,6 @@ _TYPE_NAMES = {dict: "an object", list: "an array", str: "text", bool: "true or 
 _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
 _BINARY_CHUNK = 0x004E4942
-BASIS = "KHR_texture_basisu"
 _SUPPORTED_EXTENSIONS = frozenset(
     {
         BASIS,  # its textures are named and left out: they alone are lost

@@ -19,7 +19,8 @@ from facepipe.core.names import handles
 from facepipe.core.reading import is_file
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform, WrinkleRegion, Wrinkles
 from facepipe.stage.uv_transforms import IDENTITY
-from facepipe_gltf.read.document import BASIS, Document, Names, Value, file_name, given_name, quote, uri_name
+from facepipe_gltf.materials import BASIS
+from facepipe_gltf.read.document import Document, Names, Value, file_name, given_name, quote, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.read.variants import Variants
 from facepipe_gltf.record_format import image_digest
