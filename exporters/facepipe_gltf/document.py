@@ -23,7 +23,6 @@ from facepipe_gltf.baking import Baked, Sculpt, bake, extras, storage_error, wei
 from facepipe_gltf.buffers import MESHOPT, Buffers, Chunk, Encoding
 from facepipe_gltf.losses import check, dropped, influence_error, listed_meshes, skin_warnings
 from facepipe_gltf.materials import VARIANTS, WEBP, Image, MaterialWriter
-from facepipe_gltf.node_packages import answer_of
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
@@ -81,6 +80,8 @@ def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
 
 def meshopt_missing() -> str | None:
     """What compressing lacks here, as a message has it; None: nothing."""
+    from facepipe_gltf.node_packages import answer_of
+
     try:
         answer_of(_WHERE, _PACKAGE, _PROGRAM, struct.pack("<I", 2) + b"[]")
     except (InputError, ExportError) as error:
@@ -90,6 +91,8 @@ def meshopt_missing() -> str | None:
 
 def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
     """Each stream compressed, and checked with the package's decoder."""
+    from facepipe_gltf.node_packages import answer_of
+
     header = json.dumps([{"count": one.elements, "size": one.size, "mode": one.mode} for one in streams]).encode()
     request = b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)])
     answer = answer_of(_WHERE, _PACKAGE, _PROGRAM, request)
@@ -155,7 +158,8 @@ def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (
     if options.texture_format == "ktx2":
         from facepipe_gltf.ktx2 import with_ktx2
 
-        document = with_ktx2(document)
+        json_, images, chosen = with_ktx2(document.json, document.images)
+        document = replace(document, json=json_, images=images, chosen=chosen)
     if not options.meshopt:
         return document
 
@@ -217,9 +221,7 @@ class _Writer:
             parts = self.parts = replace(parts, animations=tuple(resampled_clips), frames_per_second=options.fps)
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=bool(options.meshopt))
-        self.materials = MaterialWriter(
-            parts.materials, self.tangents, options.reader, webp=options.texture_format == "webp"
-        )
+        self.materials = MaterialWriter(parts.materials, self.tangents, options.reader, options.texture_format)
         shapes = () if options.mode == "skin" else select(list(parts.shapes), options.shapes, "shapes")
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))

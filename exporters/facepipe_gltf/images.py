@@ -14,6 +14,7 @@ import numpy.typing as npt
 from facepipe.core.errors import InputError
 from facepipe.core.images import open_image, pixels
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
+from facepipe_gltf.options import TextureFormat
 
 Pixels = npt.NDArray[np.uint8]
 Format = Literal["jpeg", "webp", "png"]
@@ -21,7 +22,7 @@ _Made = dict[tuple[bytes, str, bool, bool, float], Texture]
 
 _SUFFIX: Mapping[Format, str] = {"jpeg": ".jpg", "webp": ".webp", "png": ".png"}
 _STARTS = {"jpeg": b"\xff\xd8\xff", "webp": b"RIFF", "png": b"\x89PNG"}
-_COLORS = 256  # of a picture with alpha: a third of the bytes, and hair and whites of eyes have few
+COLORS = 256  # of a picture with alpha: a third of the bytes, and hair and whites of eyes have few
 _QUALITY = {"jpeg": 85, "webp": 82}
 _QUALITY_OF_NORMALS = {"jpeg": 90, "webp": 90}  # errors of these are seen as dents in highlights
 _SMALLER = ("roughness", "metallic", "occlusion", "clearcoat", "clearcoat_roughness")  # half as large as colours
@@ -48,7 +49,7 @@ def packed_image(picture: Pixels, kind: Format, *, normals: bool = False, colors
     return stream.getvalue()
 
 
-def repacked(parts: FaceParts, kind: Literal[Format, "ktx2", "kept"] | None, size: int | None) -> FaceParts:
+def repacked(parts: FaceParts, kind: TextureFormat | None, size: int | None) -> FaceParts:
     """The face with pictures of at most `size` pixels a side; those with alpha are PNG where `kind` is JPEG.
 
     What can't be read stays as it is: the writer says so. A file that is small enough and smaller than the new one
@@ -110,7 +111,7 @@ def _made(texture: Texture, kind: Format | None, most: float, *, alpha: bool, no
             for channel in range(4)
         ]
         picture = np.stack([np.asarray(plane) for plane in planes], axis=-1)
-    colors = _COLORS if kind else 0
+    colors = COLORS if kind else 0
     data = packed_image(picture if alpha else picture[..., :3], made_as, normals=normals, colors=colors)
     if shrunk >= 1.0 and texture.data.startswith(_STARTS[made_as]) and len(texture.data) <= len(data):
         return texture

@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import struct
 import time
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -18,7 +17,6 @@ import numpy as np
 from facepipe.core.errors import InputError
 from facepipe.core.images import open_image, pixels
 from facepipe.records import Json
-from facepipe_gltf.document import Document
 from facepipe_gltf.materials import BASIS, WEBP, Image, Pixels
 from facepipe_gltf.node_packages import answer_of
 
@@ -54,31 +52,31 @@ _PROGRAM = """
 Use = Literal["colours", "normals", "data"]
 
 
-def with_ktx2(document: Document) -> Document:
-    """The document with all of its pictures as KTX2, and a line that says how long it took.
+def with_ktx2(document: Json, given: Sequence[Image]) -> tuple[Json, list[Image], tuple[str, ...]]:
+    """A document's JSON and its images, `given` as PNG and JPEG, with KTX2 in their place; and how long it took.
 
     Sides that are no multiples of four are scaled up to the next.
 
     :raises InputError: node or its package ktx2-encoder is not installed, or a picture is too large for it
     :raises ExportError: the encoder failed
     """
-    start, uses = time.perf_counter(), _uses(document.json)
-    pictures = [_picture(image) for image in document.images]
+    start, uses = time.perf_counter(), _uses(document)
+    pictures = [_picture(image) for image in given]
     header = [
         {"width": one.shape[1], "height": one.shape[0], "use": uses.get(i, "data")} for i, one in enumerate(pictures)
     ]
     text = json.dumps(header).encode()
     request = b"".join([struct.pack("<I", len(text)), text, *(one.tobytes() for one in pictures)])
     answer, at, images = answer_of(_WHERE, _PACKAGE, _PROGRAM, request) if pictures else b"", 0, list[Image]()
-    for image in document.images:
+    for image in given:
         (length,) = struct.unpack_from("<I", answer, at)
         images.append(Image(image.name, "image/ktx2", answer[at + 4 : at + 4 + length]))
         at += 4 + length
     if not images:
-        return document
+        return document, images, ()
     size = sum(len(image.data) for image in images)
     line = f"{len(images)} pictures as KTX2: {size / 1e6:.1f} MB in {time.perf_counter() - start:.1f} s"
-    return replace(document, json=_named(document.json, images), images=images, chosen=(*document.chosen, line))
+    return _named(document, images), images, (line,)
 
 
 def _picture(image: Image) -> Pixels:

@@ -17,7 +17,7 @@ from facepipe.core.images import open_image
 from facepipe.core.images import pixels as decoded
 from facepipe.parts import Material, Mesh, Texture, TextureInput, exact
 from facepipe.records import Json
-from facepipe_gltf.options import Engine
+from facepipe_gltf.options import Engine, TextureFormat
 
 Pixels = npt.NDArray[np.uint8]
 
@@ -48,8 +48,8 @@ class Image:
 class Textures:
     """Collects images, each once however often it is used."""
 
-    def __init__(self, *, webp: bool) -> None:
-        self._webp = webp  # it may be in the file
+    def __init__(self, kind: TextureFormat | None) -> None:
+        self._kind = kind  # what pictures are to be, of those of --texture-format
         self.images: list[Image] = []
         self.samplers: list[Json] = []
         self.textures: list[Json] = []
@@ -82,7 +82,7 @@ class Textures:
             return self._image(Image(_stem(texture), "image/png", b"".join(kept)))
         if texture.data.startswith(_JPEG):
             return self._image(Image(_stem(texture), "image/jpeg", texture.data))
-        if self._webp and texture.data[:4] == b"RIFF" and texture.data[8:12] == b"WEBP":
+        if self._kind == "webp" and texture.data[:4] == b"RIFF" and texture.data[8:12] == b"WEBP":
             return self._image(Image(_stem(texture), "image/webp", texture.data))
         pixels = self.pixels(texture)
         return None if pixels is None else self.made(_stem(texture), pixels)
@@ -93,9 +93,14 @@ class Textures:
         return any(image.mime == "image/webp" for image in self.images)
 
     def made(self, name: str, pixels: Pixels) -> int:
-        """A PNG of (h, w, 3 or 4) pixels."""
+        """The image of (h, w, 3 or 4) pixels: PNG, or what pictures are to be."""
         from PIL import Image as Pillow
 
+        if self._kind == "jpeg" or self._kind == "webp":
+            from facepipe_gltf.images import COLORS, packed_image
+
+            kind = "png" if self._kind == "jpeg" and pixels.shape[2] == 4 else self._kind
+            return self._image(Image(name, f"image/{kind}", packed_image(pixels, kind, colors=COLORS)))
         stream = io.BytesIO()
         Pillow.fromarray(pixels).save(stream, format="PNG")
         return self._image(Image(name, "image/png", stream.getvalue()))
@@ -171,8 +176,10 @@ class Surface:
 class MaterialWriter:
     """Converts the face's materials as meshes ask for them; one glTF material per material, UV layout and sidedness."""
 
-    def __init__(self, materials: Sequence[Material], tangents: bool, engine: Engine, *, webp: bool) -> None:
-        self.textures = Textures(webp=webp)
+    def __init__(
+        self, materials: Sequence[Material], tangents: bool, engine: Engine, kind: TextureFormat | None
+    ) -> None:
+        self.textures = Textures(kind)
         self._engine = engine
         self._unread: dict[str, list[str]] = {}  # extension -> materials that are without for the engine's sake
         self._tangents = tangents

@@ -37,7 +37,7 @@ def merged(parts: FaceParts) -> FaceParts:
     known = {material.name: material for material in parts.materials}
     groups: dict[tuple[object, ...], list[Mesh]] = {}
     for mesh in parts.meshes:
-        role = _role(mesh, known)
+        role = role_of(mesh, known)
         groups.setdefault(("", mesh.name) if role is None else (role, *_space(mesh)), []).append(mesh)
     meshes, made = [], dict[str, Material]()
     names = {group[0].name for group in groups.values() if len(group) == 1}
@@ -72,7 +72,11 @@ def _bound(mesh: Mesh) -> list[str]:
     return list(dict.fromkeys([*own, *(one.material for one in mesh.material_faces)]))
 
 
-def _role(mesh: Mesh, known: Mapping[str, Material]) -> str | None:
+def role_of(mesh: Mesh, known: Mapping[str, Material]) -> str | None:
+    """A region that a mesh lies in whole, "hair" for cards that light comes through, or None: skin.
+
+    :param known: materials by name
+    """
     used = [known[name] for name in _bound(mesh) if name in known]
     if mesh.double_sided and used and all(not _opaque(one) for one in used):
         return _CARDS

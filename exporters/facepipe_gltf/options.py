@@ -10,6 +10,8 @@ from typing import Any, Literal
 from facepipe.core.errors import InputError
 from facepipe.declare import POSE_HELP, option
 
+TextureFormat = Literal["jpeg", "webp", "png", "ktx2", "kept"]
+
 _LISTED = 3
 _WORDS_IN_GODOT = (  # where its String::camelcase_to_underscore puts one
     r"(?<=[^A-Z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})|(?<=[^0-9])(?=[0-9])|(?<=[0-9])(?=[^0-9][a-z0-9])"
@@ -160,7 +162,7 @@ class Options:
         flag="--for",
     )
     customisable: bool = option(False, "with --for game or web: also the shapes that change who it is")
-    texture_format: Literal["jpeg", "webp", "png", "ktx2", "kept"] | None = option(
+    texture_format: TextureFormat | None = option(
         None,
         "pictures of materials (default kept, or as --for asks; JPEG only where they have no alpha; ktx2 needs node "
         "with its package ktx2-encoder)",

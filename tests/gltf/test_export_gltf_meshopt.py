@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from command_line import failed
 from facepipe_gltf import Options, document, export
+from facepipe_gltf import node_packages as programs
 from facepipe_gltf import validate as check
 from faces import tiny_face
 from gltf_export import Parts, random_weights
@@ -112,12 +113,12 @@ def test_it_is_read_back_as_the_plain_file_is(tmp_path: Path) -> None:
 
 
 def test_a_coder_that_loses_something_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = document.answer_of
+    honest = programs.answer_of
 
     def lossy(*asked: Any) -> bytes:
         return honest(*asked)[:-1] + b"\x7f"
 
-    monkeypatch.setattr(document, "answer_of", lossy)
+    monkeypatch.setattr(programs, "answer_of", lossy)
     with pytest.raises(ExportError, match="when decoded again"):
         export(Parts(tiny_face()), tmp_path / "face.glb", Options(meshopt=True))
     assert not list(tmp_path.iterdir())

@@ -16,12 +16,12 @@ from facepipe_gltf.atlas import Atlas
 from facepipe_gltf.merging import merged
 from facepipe_gltf.read import Options as ReadOptions
 from facepipe_gltf.read import read
-from faces import grid_mesh, replace_mesh, tiny_face
+from faces import grid_mesh, painted_face, replace_mesh, tiny_face
 from gltf_export import Parts
 from node import HERE, node_packages, three_load
 from PIL import Image
 from scipy.spatial import cKDTree
-from textures import textured
+from textures import picture, textured
 
 from facepipe.core.reports import ExportReport
 from facepipe.heads import make
@@ -181,6 +181,36 @@ def test_the_web_gets_webp_where_it_is_read(tmp_path: Path) -> None:
     file, report = exported(tmp_path, purpose="web", engine="unreal")
     assert {image["mimeType"] for image in file.list("images")} == {"image/jpeg", "image/png"}
     assert "pictures as JPEG: Unreal (Interchange) reads no WebP" in report.chosen
+
+
+def test_skin_alone_has_normals_of_targets(tmp_path: Path) -> None:
+    """Where they are asked for by the engine, and the file is to be small."""
+
+    def kinds(**options: Any) -> dict[str, set[str]]:
+        file, _ = exported(tmp_path, engine="babylon", meshopt=False, **options)
+        primitives = [(mesh["name"], one) for mesh in file.list("meshes") for one in mesh["primitives"]]
+        return {name: {kind for target in one.get("targets", []) for kind in target} for name, one in primitives}
+
+    game = kinds()
+    assert game["Head"] == {"POSITION", "NORMAL"}
+    assert game["Mouth"] == game["Hair"] == {"POSITION"}
+    assert kinds(purpose="film")["GumsAndTongue"] == {"POSITION", "NORMAL"}
+
+
+def test_pictures_that_are_made_of_several_are_packed_as_all(tmp_path: Path) -> None:
+    """Of colour and opacity, and of roughness and metal, that come in files of their own."""
+    rng = np.random.default_rng(0)
+    face = painted_face(Image.fromarray(rng.integers(0, 255, (64, 64, 3), np.uint8)))
+    noise = [picture(f"{number}.png", rng.integers(0, 255, (64, 64), np.uint8)) for number in range(3)]
+    own = [textured(one, "r") for one in noise]
+    material = replace(face.materials[0], opacity=own[0], roughness=own[1], metallic=own[2])
+    for kind, mimes in (("jpeg", ["image/png", "image/jpeg"]), ("webp", ["image/webp"] * 2)):
+        file, _ = exported(
+            tmp_path, replace(face, materials=(material,)), purpose=None, engine="three", texture_format=kind
+        )
+        assert [image["mimeType"] for image in file.list("images")] == mimes
+        if kind == "jpeg":
+            assert Image.open(io.BytesIO(file.image(0))).mode == "P"
 
 
 def test_pictures_change_without_a_purpose_too(tmp_path: Path) -> None:
