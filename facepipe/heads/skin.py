@@ -14,10 +14,11 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.gaussian_blur import gaussian_blur
 from facepipe.heads.ageing import sags
 from facepipe.heads.asset import arrays
 from facepipe.heads.hairlines import bearded, receded
@@ -50,7 +51,7 @@ def _filtered_where(values: FloatArray, sigmas: tuple[float, float], share: Floa
         box.append(slice(low, high))
         around.append(slice(start, high + int(4 * sigma + 0.5)))
         inner.append(slice(low - start, high - start))
-    return tuple(box), gaussian_filter(values[tuple(around)], sigmas)[tuple(inner)]
+    return tuple(box), gaussian_blur(values[tuple(around)], sigmas)[tuple(inner)]
 
 
 def to_bytes(values: FloatArray) -> Any:
@@ -217,11 +218,11 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     small = size <= _SMALL
     base = _enlarged(to_bytes(to_srgb(coarse(look, tile, 4 if small else 1))), size)
     skin = _enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
-    grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
-    patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
+    grain = gaussian_blur(rng.standard_normal((size, size), np.float32), size / 1400)
+    patches = gaussian_blur(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
     patches, aged = _enlarged(patches, size), np.zeros((1, 1), np.float32)
     if look.worn and not small:
-        lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), 2.2)
+        lines = gaussian_blur(rng.standard_normal((512, 512), np.float32), 2.2)
         veins = np.exp(-((lines / (0.15 * lines.std())) ** 2)) * np.clip(_noise(look, tile, 0.9, 6), 0, 1.5)
         zone = np.clip(m["cheeks"] + 0.8 * m["nose"] + 0.3 * m["chin"], 0, 1)
         aged = _enlarged((0.35 * look.worn) * zone * veins, size)
@@ -244,14 +245,14 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
                 continue
             dots = (rng.random(fine, np.float32) < density) * rng.uniform(0.3, 1.0, fine).astype(np.float32)
             if dots.any():
-                spots += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
+                spots += strength * np.minimum(gaussian_blur(dots, radius) * 2 * np.pi * radius**2, 1.2)
         spots = _enlarged(np.asarray(spots * (1 - 0.6 * look.darkness) * bare), size)
     hairs = np.zeros((1, 1), np.float32)  # darkening by the dots of shaved hairs
     share = np.clip(look.beard * m["beard"] + (0.9 * cover(look, tile) if look.style in _SHAVED else 0), 0, 1)
     if share.any():
         dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
         contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
-        hairs = np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
+        hairs = np.asarray(contrast * np.minimum(1.6 * gaussian_blur(dots, size / 2600), 1.0))
     aged, spots, hairs = (np.broadcast_to(each, (size, size)) for each in (aged, spots, hairs))
     for rows in _strips(size):
         blood = 0.03 * (1 + look.worn) * skin[rows] * patches[rows] + aged[rows]
@@ -280,7 +281,7 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     places = _places(tile)
     texel = np.linalg.norm(np.gradient(places, axis=1), axis=-1) * places.shape[0] / size
     scale = size / 2048
-    texel = _enlarged(np.clip(gaussian_filter(texel, 2), 0.006 / scale, 0.04 / scale), size)  # cm
+    texel = _enlarged(np.clip(gaussian_blur(texel, 2), 0.006 / scale, 0.04 / scale), size)  # cm
     height, creases = _height(look, tile, size), _creases(look, tile, size)
     folds = None if creases is None else _picture("wrinkles_normal.jpg", size)
     normals = np.empty((size, size, 3), np.uint8)
@@ -310,9 +311,9 @@ def _height(look: Look, tile: int, size: int) -> FloatArray:
     pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
     pores, bare, lips = (_enlarged(each, size) for each in (pores, skin, m["lips"]))
     dots = (rng.random((size, size), np.float32) < 0.012 / scale**2).astype(np.float32)
-    pits = gaussian_filter(dots, 1.4 * scale)
+    pits = gaussian_blur(dots, 1.4 * scale)
     grain = rng.standard_normal((size, size), np.float32)
-    fine = gaussian_filter(grain, 1.0 * scale), gaussian_filter(grain, 2.8 * scale)
+    fine = gaussian_blur(grain, 1.0 * scale), gaussian_blur(grain, 2.8 * scale)
     height = np.asarray(_enlarged(_TEARS * m["wet_line"], size))
     for rows in _strips(size):
         deep = -0.013 * (1 + 0.6 * look.worn - 0.5 * look.feminine) * pores[rows] * pits[rows] * 4
@@ -324,7 +325,7 @@ def _height(look: Look, tile: int, size: int) -> FloatArray:
         height += _sagging(look, size)
         crossed = np.zeros((512, 512), np.float32)
         for widths in ((5.0, 1.5), (1.5, 6.0)):
-            lines = gaussian_filter(rng.standard_normal((512, 512), np.float32), widths)
+            lines = gaussian_blur(rng.standard_normal((512, 512), np.float32), widths)
             crossed -= np.exp(-((lines / (0.35 * lines.std())) ** 2))
         height += _enlarged((0.007 * look.worn**2) * skin * (1 - m["scalp"]) * crossed, size)
     return height
