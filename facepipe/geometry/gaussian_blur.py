@@ -32,7 +32,7 @@ def gaussian_blur(picture: FloatArray, sigmas: float | tuple[float, float]) -> F
 
 
 def _sum(padded: FloatArray, kernel: FloatArray, out: FloatArray, pair: FloatArray) -> None:
-    """Rows (n, w) of `padded` (n + 2 r, w) weighted by a symmetric kernel, of which the right half (r + 1,) is given."""
+    """Rows (n, w) of `padded` (n + 2 r, w), weighted by a symmetric kernel: its right half (r + 1,)."""
     reach, count = len(kernel) - 1, len(out)
     np.multiply(padded[reach : reach + count], kernel[0], out=out)
     for far in range(1, reach + 1):

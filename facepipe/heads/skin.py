@@ -243,7 +243,8 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
         for density, radius, strength in kinds:
             if not density.any():
                 continue
-            dots = (rng.random(fine, np.float32) < density) * rng.uniform(0.3, 1.0, fine).astype(np.float32)
+            chosen = rng.random(fine, np.float32) < density
+            dots = np.asarray(chosen * rng.uniform(0.3, 1.0, fine), np.float32)
             if dots.any():
                 spots += strength * np.minimum(gaussian_blur(dots, radius) * 2 * np.pi * radius**2, 1.2)
         spots = _enlarged(np.asarray(spots * (1 - 0.6 * look.darkness) * bare), size)

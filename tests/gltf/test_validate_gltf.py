@@ -164,7 +164,7 @@ def indices_beyond(document: Json, binary: bytearray) -> None:
 
 DEFECTS: dict[str, tuple[Seed, set[str]]] = {
     "another version": (set_at("asset/version", "3.0"), {"GltfAsset"}),
-    "an extension that must be known": (set_at("extensionsRequired", ["KHR_texture_basisu"]), {"GltfAsset"}),
+    "an extension that must be known": (set_at("extensionsRequired", ["EXT_mesh_gpu_instancing"]), {"GltfAsset"}),
     "scene that is not there": (set_at("scene", 7), {"GltfAsset"}),
     "targetNames too short": (fewer_target_names, {"GltfTargetNames"}),
     "targets too few": (fewer_targets, {"GltfTargetNames"}),
