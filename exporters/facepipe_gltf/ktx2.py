@@ -17,11 +17,12 @@ import numpy as np
 from facepipe.core.errors import InputError
 from facepipe.core.images import open_image, pixels
 from facepipe.records import Json
-from facepipe_gltf.materials import BASIS, WEBP, Image, Pixels
+from facepipe_gltf.materials import BASIS, Image, Pixels
 from facepipe_gltf.node_packages import answer_of
 
 _WHERE, _PACKAGE = "--texture-format ktx2", "ktx2-encoder"
 _MOST = 12 << 20  # pixels of a picture that the encoder takes
+_SECONDS = 3600  # twenty pictures of 12 million pixels take a tenth of it
 _BLOCK = 4  # KHR_texture_basisu: sides are multiples of it
 _COLOURS = ("baseColorTexture", "emissiveTexture", "sheenColorTexture", "specularColorTexture", "tint")  # sRGB
 _NORMALS = ("normalTexture", "clearcoatNormalTexture", "normal")
@@ -60,6 +61,8 @@ def with_ktx2(document: Json, given: Sequence[Image]) -> tuple[Json, list[Image]
     :raises InputError: node or its package ktx2-encoder is not installed, or a picture is too large for it
     :raises ExportError: the encoder failed
     """
+    if not given:
+        return document, [], ()
     start, uses = time.perf_counter(), _uses(document)
     pictures = [_picture(image) for image in given]
     header = [
@@ -67,13 +70,12 @@ def with_ktx2(document: Json, given: Sequence[Image]) -> tuple[Json, list[Image]
     ]
     text = json.dumps(header).encode()
     request = b"".join([struct.pack("<I", len(text)), text, *(one.tobytes() for one in pictures)])
-    answer, at, images = answer_of(_WHERE, _PACKAGE, _PROGRAM, request) if pictures else b"", 0, list[Image]()
+    # in one process: its program takes a second to compile
+    answer, at, images = answer_of(_WHERE, _PACKAGE, _PROGRAM, request, seconds=_SECONDS), 0, list[Image]()
     for image in given:
         (length,) = struct.unpack_from("<I", answer, at)
         images.append(Image(image.name, "image/ktx2", answer[at + 4 : at + 4 + length]))
         at += 4 + length
-    if not images:
-        return document, images, ()
     size = sum(len(image.data) for image in images)
     line = f"{len(images)} pictures as KTX2: {size / 1e6:.1f} MB in {time.perf_counter() - start:.1f} s"
     return _named(document, images), images, (line,)
@@ -99,8 +101,7 @@ def _uses(document: Json) -> dict[int, Use]:
     """What images hold; one that is read as colours and otherwise is of colours."""
     found: dict[int, Use] = {}
     for key, texture in _infos(document.get("materials", [])):
-        one = document["textures"][texture]
-        image = one["source"] if "source" in one else one["extensions"][WEBP]["source"]
+        image = document["textures"][texture]["source"]
         if key in _COLOURS:
             found[image] = "colours"
         elif image not in found:
@@ -122,13 +123,11 @@ def _infos(value: object, key: str = "") -> Iterator[tuple[str, int]]:
 
 def _named(document: Json, images: list[Image]) -> Json:
     """The JSON with textures that read these images."""
-    textures = []
-    for texture in document["textures"]:
-        source = texture["source"] if "source" in texture else texture["extensions"][WEBP]["source"]
-        kept = {name: one for name, one in texture.items() if name not in ("source", "extensions")}
-        textures.append(kept | {"extensions": {BASIS: {"source": source}}})
+    textures = [
+        {"sampler": one["sampler"], "extensions": {BASIS: {"source": one["source"]}}} for one in document["textures"]
+    ]
     listed = [{"name": image.name, "mimeType": image.mime} for image in images]
     result = document | {"textures": textures, "images": listed}
     for key in ("extensionsUsed", "extensionsRequired"):
-        result[key] = sorted({*result.get(key, []), BASIS} - {WEBP})
+        result[key] = sorted([*result.get(key, []), BASIS])
     return result

@@ -7,6 +7,7 @@ import subprocess
 from facepipe.core.errors import ExportError, InputError
 from facepipe.core.policy.children import find_program
 
+_SECONDS = 300
 _NOT_INSTALLED = 4
 _FOUND = """
 const { pathToFileURL } = require("url");
@@ -21,7 +22,7 @@ const received = async () => {
 """
 
 
-def answer_of(where: str, package: str, program: str, request: bytes) -> bytes:
+def answer_of(where: str, package: str, program: str, request: bytes, seconds: float = _SECONDS) -> bytes:
     """What the body of an asynchronous JavaScript function writes to standard output.
 
     It has `found(name)`, the address of a package's module, and `received()`, which gives the request.
@@ -38,7 +39,7 @@ def answer_of(where: str, package: str, program: str, request: bytes) -> bytes:
     failed = "(error) => { console.error(String(error)); process.exitCode = 3; }"
     asked = f"{_FOUND}(async () => {{{program}}})().catch({failed});"
     try:
-        done = run_node(node, asked, request=request)
+        done = run_node(node, asked, request=request, seconds=seconds)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ExportError(where, f"node did not compress the file: {error}") from None
     if done.returncode == _NOT_INSTALLED:

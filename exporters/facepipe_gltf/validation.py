@@ -45,15 +45,17 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {
 _SEVERITIES: tuple[Literal["error", "warning", "info"], ...] = ("error", "warning", "info")
 
 
-def run_node(node: str, program: str, *arguments: str, request: bytes = b"") -> CompletedProcess[bytes]:
+def run_node(
+    node: str, program: str, *arguments: str, request: bytes = b"", seconds: float = _SECONDS
+) -> CompletedProcess[bytes]:
     """What a JavaScript `program` makes of its arguments (absolute paths) and standard input.
 
     It has the module `path`, and `roots`: the folders of packages that npm installed for all.
 
     :raises OSError: node can't be run
-    :raises TimeoutExpired: of subprocess, after 300 seconds
+    :raises TimeoutExpired: of subprocess, after `seconds`
     """
-    return run([node, "-e", _ROOTS + program, *arguments], request=request, seconds=_SECONDS)
+    return run([node, "-e", _ROOTS + program, *arguments], request=request, seconds=seconds)
 
 
 def _check_khronos(path: Path) -> list[Finding]:
