@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,8 @@ from facepipe.core.errors import InputError
 CORNER, EDGE, INSIDE = 0, 3, 6
 
 _FIRST_NEIGHBOURS = 4  # triangles tried for every point at first
-_PAIRS_AT_ONCE = 1 << 18  # point-triangle pairs at a time: a bound on memory
+_PAIRS_AT_ONCE = 1 << 14  # point-triangle pairs at a time: what is computed of them stays in the processor's cache
+_ROUNDING = 1e-9  # of a distance
 _SIZE_STEP = 2.0  # triangles of one search tree differ in size by less than this factor
 
 
@@ -54,9 +56,9 @@ class SurfaceSearch:
         if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(surface_points):
             what = f"{len(triangles)} triangles, expected at least one, all at points 0 to {len(surface_points) - 1}"
             raise InputError("surface", what)
-        self._corners = surface_points[triangles]
-        centres = self._corners.mean(axis=1)
-        sizes = np.sqrt(((self._corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
+        self._corners = _columns(surface_points, triangles)
+        middles, sizes = _spheres(self._corners)
+        centres = np.ascontiguousarray(middles.T)
         # groups of like size, the most numerous first: one large triangle widens the search for no others
         steps = np.floor(np.log(np.maximum(sizes, sizes.max() * 1e-6 + 1e-300)) / np.log(_SIZE_STEP))
         values, counts = np.unique(steps, return_counts=True)
@@ -68,21 +70,24 @@ class SurfaceSearch:
         points = np.asarray(points, np.float64)
         nearest = _nothing(len(points))
         for group in self._groups if len(points) else ():
-            # more and more triangles of the group, for the points where a nearer one may still come
             members, largest = group.members, float(group.sizes.max())
-            open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
-            while len(open_points):
-                reached = np.empty(len(open_points))
-                for part in np.array_split(np.arange(len(open_points)), -(-len(open_points) * count // _PAIRS_AT_ONCE)):
-                    numbers = open_points[part]
-                    far, near = group.tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
-                    reached[part] = far[:, -1]
-                    row, column = np.nonzero(far - group.sizes[near] <= nearest.distances[numbers, None])
-                    _improve(nearest, points, self._corners, numbers[row], members[near[row, column]])
-                if count == len(members):
-                    break
-                open_points = open_points[reached - largest <= nearest.distances[open_points]]
-                tried, count = count, min(4 * count, len(members))
+            few = np.arange(1, min(_FIRST_NEIGHBOURS, len(members)) + 1)
+            for part in np.array_split(np.arange(len(points)), -(-len(points) * len(few) // _PAIRS_AT_ONCE)):
+                far, near = group.tree.query(points[part], k=few)
+                row, column = np.nonzero(far - group.sizes[near] <= nearest.distances[part, None])
+                _improve(nearest, points, self._corners, part[row], members[near[row, column]])
+                # then all that may still come nearer: more and more neighbours took up to twice as long
+                rest = part[far[:, -1] - largest <= nearest.distances[part]]
+                reach = nearest.distances[rest] + largest
+                counts = group.tree.query_ball_point(points[rest], reach, return_length=True)
+                for some in np.split(np.arange(len(rest)), _cuts(counts)):
+                    found = group.tree.query_ball_point(points[rest[some]], reach[some], return_sorted=False)
+                    near = np.fromiter(itertools.chain.from_iterable(found), np.int64, int(counts[some].sum()))
+                    numbers = np.repeat(rest[some], counts[some])
+                    away = group.tree.data[near] - points[numbers]
+                    reached = np.sqrt(np.einsum("pi,pi->p", away, away)) - group.sizes[near]
+                    closer = reached <= nearest.distances[numbers]
+                    _improve(nearest, points, self._corners, numbers[closer], members[near[closer]])
         return nearest
 
 
@@ -103,10 +108,22 @@ def closest_among(
     :param owners: (p,) places in `points`
     :param candidates: (p,) triangles that these may lie on
     """
-    nearest = _nothing(len(points))
-    corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)]
+    nearest, points = _nothing(len(points)), np.asarray(points, np.float64)
+    corners = _columns(surface_points, triangles)
+    middles, sizes = _spheres(corners)
+    if not (owners[1:] >= owners[:-1]).all():
+        order = np.argsort(owners, kind="stable")
+        owners, candidates = owners[order], candidates[order]
     for part in np.array_split(np.arange(len(owners)), -(-len(owners) // _PAIRS_AT_ONCE) or 1):
-        _improve(nearest, np.asarray(points, np.float64), corners, owners[part], candidates[part])
+        numbers, tried = owners[part], candidates[part]
+        # the middle of a triangle is a place of it: others may be nearer only where their sphere reaches as far, which
+        # leaves a fifth of the triangles about a point
+        away = middles.take(tried, axis=1) - points.T.take(numbers, axis=1)
+        far = np.sqrt(_dot(away, away))
+        starts = _starts(numbers)
+        reach = np.repeat(np.minimum.reduceat(far, starts), np.diff(starts, append=len(far))) if len(far) else far
+        near = np.flatnonzero(far - sizes[tried] <= reach * (1 + _ROUNDING))
+        _improve(nearest, points, corners, numbers[near], tried[near])
     return nearest
 
 
@@ -140,43 +157,93 @@ def _nothing(count: int) -> ClosestPlaces:
     return ClosestPlaces(np.full(count, np.inf), numbers[0], np.zeros((count, 3)), numbers[1])
 
 
+def _columns(surface_points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(corners 3, axes 3, t): what is computed of many triangles runs along them, not along three numbers."""
+    return np.ascontiguousarray(np.asarray(surface_points, np.float64)[np.asarray(triangles)].transpose(1, 2, 0))
+
+
+def _cuts(counts: IntArray) -> IntArray:
+    """Where rows of so many pairs each are cut, to have `_PAIRS_AT_ONCE` at a time, or one row."""
+    return np.flatnonzero(np.diff(np.cumsum(counts) // _PAIRS_AT_ONCE)) + 1
+
+
+def _spheres(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Middles (3, t) of triangles (3, 3, t), and radii (t,) of spheres about them that hold these."""
+    middles = corners.mean(axis=0)
+    return middles, np.sqrt(((corners - middles) ** 2).sum(axis=1).max(axis=0))
+
+
+def _starts(numbers: IntArray) -> IntArray:
+    """Where runs of the same number (p,) begin."""
+    return np.flatnonzero(np.concatenate([[True], numbers[1:] != numbers[:-1]])[: len(numbers)])
+
+
 def _improve(
     nearest_places: ClosestPlaces, points: FloatArray, corners: FloatArray, numbers: IntArray, triangles: IntArray
 ) -> None:
-    """Put in the places on `triangles` (p,) that are nearer to the points `numbers` (p,) than those found so far."""
-    wanted = points[numbers]
-    tried = corners[triangles]
-    # the foot of the perpendicular ``p - ((p - a) . n) n / |n|^2`` where that lies inside, which it does where
-    # ``(side x (p - start)) . n > 0`` at all three sides; otherwise the nearest place on the three edges
-    starts, ends = tried, tried[:, [1, 2, 0]]
-    sides = ends - starts
-    lengths = np.einsum("pei,pei->pe", sides, sides)
-    offsets = wanted[:, None] - starts
-    along = np.einsum("pei,pei->pe", offsets, sides) / np.where(lengths > 0, lengths, 1.0)
-    along = np.clip(along, 0.0, 1.0)
-    on_edges = starts + along[..., None] * sides
-    edge_squares = ((wanted[:, None] - on_edges) ** 2).sum(axis=2)
-    edge = edge_squares.argmin(axis=1)
-    rows = np.arange(len(wanted))
-    squares, places, share = edge_squares[rows, edge], on_edges[rows, edge], along[rows, edge]
-    features = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
-    normals = np.cross(sides[:, 0], sides[:, 1])
-    areas = np.einsum("pi,pi->p", normals, normals)
-    # without area the normal is 0 and nothing lies inside: the edges have the place
-    above = np.einsum("pei,pi->pe", np.cross(sides, offsets), normals)
-    inside = (above > 0).all(axis=1) & (areas > 0)
-    lift = np.einsum("pi,pi->p", offsets[:, 0], normals)[inside] / areas[inside]
-    places[inside] = wanted[inside] - lift[:, None] * normals[inside]
-    # not |p - place|^2: far from the origin, near the surface, that difference is rounding
-    squares[inside] = np.einsum("p,p,p->p", lift, lift, areas[inside])
-    features[inside] = INSIDE
-    order = np.lexsort((triangles, squares, numbers))
-    first = order[np.concatenate([[True], np.diff(numbers[order]) > 0])] if len(order) else order
-    distances = np.sqrt(squares[first])
-    point = numbers[first]
+    """Put in the places on `triangles` (p,) that are nearer to the points `numbers` (p,) than those found so far.
+
+    :param corners: (3, 3, t)
+    :param numbers: ascending
+    """
+    if not len(numbers):
+        return
+    wanted, tried = points.T.take(numbers, axis=1), corners.take(triangles, axis=2)
+    squares, edge, share, lift = _reached(wanted, tried)
+    # the nearest triangle of each point; of several that are as near, that of the lowest number
+    starts = _starts(numbers)
+    least = np.repeat(np.minimum.reduceat(squares, starts), np.diff(starts, append=len(squares)))
+    first = np.flatnonzero(squares == least)
+    first = first[np.lexsort((triangles[first], numbers[first]))]
+    first = first[_starts(numbers[first])]
+    point, distances = numbers[first], np.sqrt(squares[first])
     better = distances < nearest_places.distances[point]
     first, point = first[better], point[better]
     nearest_places.distances[point] = distances[better]
     nearest_places.triangles[point] = triangles[first]
-    nearest_places.places[point] = places[first]
-    nearest_places.features[point] = features[first]
+    edge, share, lift, tried = edge[first], share[first], lift[first], tried[:, :, first]
+    inside, rows = ~np.isnan(lift), np.arange(len(first))
+    start, end = tried[edge, :, rows], tried[(edge + 1) % 3, :, rows]
+    normals = _cross(tried[1] - tried[0], tried[2] - tried[1]).T
+    on_edge = start + share[:, None] * (end - start)
+    nearest_places.places[point] = np.where(inside[:, None], points[point] - lift[:, None] * normals, on_edge)
+    on_edge_at = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
+    nearest_places.features[point] = np.where(inside, INSIDE, on_edge_at)
+
+
+def _reached(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    """How points (3, p) come nearest to triangles (3, 3, p): squared distances, edges, shares, lifts, (p,) each.
+
+    The places of all pairs, which few need, and in rows of three numbers, took five times as long.
+    The foot of the perpendicular, ``p - lift n``, where that lies inside, which it does where ``(side x (p - start)) .
+    n > 0`` at all three sides; a lift is NaN where not, and the nearest place is ``start + share side`` of the edge.
+    """
+    sides = [corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]]
+    normal = _cross(sides[0], sides[1])
+    area = _dot(normal, normal)
+    inside = area > 0  # without area the normal is 0 and nothing lies inside: the edges have the place
+    for number, side in enumerate(sides):
+        offset = points - corners[number]
+        length = _dot(side, side)
+        along = np.clip(_dot(offset, side) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        away = offset - along * side
+        square = _dot(away, away)
+        inside &= _dot(_cross(side, offset), normal) > 0
+        if not number:
+            squares, edge, share, lift = square, np.zeros(len(square), np.int64), along, _dot(offset, normal)
+            continue
+        nearer = square < squares
+        squares[nearer], edge[nearer], share[nearer] = square[nearer], number, along[nearer]
+    lift = np.where(inside, lift / np.where(inside, area, 1.0), np.nan)
+    # not |p - place|^2: far from the origin, near the surface, that difference is rounding
+    return np.where(inside, lift * lift * area, squares), edge, share, lift
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(p,) products of vectors (3, p)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(3, p) of vectors (3, p)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
