@@ -12,6 +12,11 @@ def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
     return np.asarray(np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
 
 
+def transformed_each(points: FloatArray, transforms: FloatArray) -> FloatArray:
+    """(n, 3) points (n, 3), each under its own of transforms (n, 3, 4) for column vectors."""
+    return np.asarray(np.einsum("nij,nj->ni", transforms[:, :, :3], points) + transforms[:, :, 3])
+
+
 def unit_vectors(vectors: FloatArray) -> FloatArray:
     """(v, c) of length 1; those of length 0 stay."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unknown
-from facepipe.geometry.vectors import transformed
+from facepipe.geometry.vectors import transformed, transformed_each
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.bone_coefficients import coefficient_matrices
 from facepipe.rig.trs import decompose, rotation_matrices
@@ -160,11 +160,15 @@ class Rig:
 
     def morph(self, weights: FloatArray) -> FloatArray:
         """(n, 3) points of (shapes,) weights, in skeleton space at bind time, before skinning."""
+        return self.points + self.offsets(weights)
+
+    def offsets(self, weights: FloatArray) -> FloatArray:
+        """(n, 3) how far (shapes,) weights move the points, as `morph` has them."""
         moved = np.zeros_like(self.points)
         for target, activation in zip(self.targets, self.activations(weights), strict=True):
             if activation:
                 moved[target.point_indices] += activation * target.offsets
-        return self.points + moved
+        return moved
 
     def joint_worlds(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
         """(..., j, 4, 4) world matrices of (..., j, 4, 4) local ones."""
@@ -189,17 +193,22 @@ class Rig:
 
     def skin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
         """(n, 3) world points of (n, 3) morphed points under (j + 1, 4, 4) skinning matrices."""
-        blended = self.blended(matrices)
-        return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3])
+        return transformed_each(points, self.blended(matrices))
 
-    def blended(self, matrices: FloatArray) -> FloatArray:
-        """(n, 3, 4) transforms of points under (j + 1, 4, 4) skinning matrices."""
-        blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
-        if self.dual is not None:
+    def blended(self, matrices: FloatArray, rows: IntArray | None = None) -> FloatArray:
+        """(n, 3, 4) transforms of points under (j + 1, 4, 4) skinning matrices.
+
+        :param rows: (n,) points; None: all
+        """
+        influences, dual = self.influences, self.dual
+        if rows is not None:
+            influences, dual = influences[rows], None if dual is None else dual[rows]
+        blended = (influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        if dual is not None:
             root = matrices[-1]  # quaternions blend in skeleton space: what scales the skeleton scales them all
-            within = _dual_quaternion_blend(self.influences[self.dual], np.linalg.inv(root) @ matrices)
-            blended[self.dual] = root[:3, :3] @ within
-            blended[self.dual, :, 3] += root[:3, 3]
+            within = _dual_quaternion_blend(influences[dual], np.linalg.inv(root) @ matrices)
+            blended[dual] = root[:3, :3] @ within
+            blended[dual, :, 3] += root[:3, 3]
         return np.asarray(blended)
 
     def require_linear(self, reader: str) -> None:

@@ -14,7 +14,7 @@ from scipy import sparse
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.threads import one_thread
 from facepipe.core.webassembly import Program, Run
-from facepipe.geometry.polygons import components, edges, point_areas, triangulate, welded_points
+from facepipe.geometry.polygons import components, edges, merge_points, point_areas, triangulate, welded_points
 from facepipe.parts import Blendshape, FaceParts, MaterialFaces, Mesh
 from facepipe.rig import Rig, mesh_spaces
 
@@ -35,6 +35,7 @@ _WHOLE = 0.6
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
 _SPACING = 0.2  # of the size of a line, between points of it that stay: some 12 of a circle
 _TURN = 0.2  # radians by which joints are taken to turn
+_TOGETHER = 4096  # points whose offsets are dense at a time
 _WEIGHT = 15.0  # of an error in motion against one in form: with more, low levels lose their form
 
 
@@ -304,6 +305,9 @@ class Surface:
         kept = np.append(np.array(strongest, np.int64), _even_points(rig.points, self.triangles, rims))
         stay = np.append(np.setdiff1d(kept, hairs), self._marks)
         self._fixed = np.isin(self._point, stay)
+        places = rig.points[self._point].astype(np.float32)
+        self._place = merge_points(places)[1]
+        self._outermost = np.concatenate([places.argmin(axis=0), places.argmax(axis=0)])
 
     @property
     def full(self) -> IntArray:
@@ -414,9 +418,9 @@ class Surface:
         """(t, 3) points of a level's wedges."""
         return np.asarray(self._point[level])
 
-    def meshes(self, level: IntArray) -> tuple[Mesh, ...]:
-        """Each mesh at a level; one without triangles as it is."""
-        moved, result = self.places(level) - self._rig.points, []
+    def meshes(self, level: IntArray, places: FloatArray) -> tuple[Mesh, ...]:
+        """Each mesh at a level, whose `places` these are; one without triangles as it is."""
+        moved, result = places - self._rig.points, []
         firsts = self._rig.mesh_offsets
         for number, wedges in enumerate(self._wedges):
             triangles = level[self._mesh(level) == number] - self._starts[number]
@@ -433,7 +437,18 @@ class Surface:
         triangles = self._triangles[chosen]
         if most >= len(triangles):
             return np.asarray(triangles)
-        return self._simplify(self._rig.points[self._point], self._motion, triangles, self._fixed, most)
+        # Of the vertices in use alone, and those at the same places, where the surface stays closed: the module copies
+        # and hashes all that it is given, which took half of its time. Its box stays that of all vertices: with
+        # another scale a third of the triangles were others.
+        near = np.zeros(len(self._place), bool)
+        near[self._place[triangles]] = True
+        wanted = near[self._place]
+        wanted[self._outermost] = True
+        used = np.flatnonzero(wanted)
+        number = np.zeros(len(self._point), np.int64)
+        number[used] = np.arange(len(used))
+        places, motion, fixed = self._rig.points[self._point[used]], self._motion[used], self._fixed[used]
+        return np.asarray(used[self._simplify(places, motion, number[triangles], fixed, most)])
 
 
 def _joined(arrays: Iterable[IntArray]) -> IntArray:
@@ -467,7 +482,6 @@ def _motion_of(rig: Rig, most: int) -> FloatArray:
     The principal components of the offsets of all sculpts and of the ways that joints move points, scaled so that
     squared differences are `_WEIGHT` squared times those of the offsets themselves, summed over all sculpts.
     """
-    sculpts = [sparse.csr_array(rig.deltas[axis::3]) for axis in range(3)] if rig.targets else []
     weights = sparse.csr_array(rig.influences[:, : len(rig.joints)])
     distances = np.zeros(len(rig.joints))
     for joint, inverse in enumerate(rig.inverse_bind):
@@ -477,10 +491,18 @@ def _motion_of(rig: Rig, most: int) -> FloatArray:
         total = share.sum()
         if total > 0:
             distances[joint] = (share * np.linalg.norm(rig.points - place, axis=1)).sum() / total
-    columns = sparse.csr_array(
-        sparse.hstack([*sculpts, sparse.csr_array(weights @ sparse.diags_array(_TURN * distances))])
-    )
+    joints, count = sparse.csr_array(weights @ sparse.diags_array(_TURN * distances)), 3 * len(rig.targets)
+    gram = np.zeros((count + len(rig.joints),) * 2)
     with one_thread():
-        values, vectors = np.linalg.eigh((columns.T @ columns).toarray())
-    first = np.argsort(-values, kind="stable")[:most]
-    return np.asarray(_WEIGHT * (columns @ vectors[:, first]))
+        # dense, some points at a time: sparse products of rows of a hundred numbers each took five times as long
+        for start in range(0, len(rig.points), _TOGETHER):
+            end = min(start + _TOGETHER, len(rig.points))
+            offsets = rig.deltas[3 * start : 3 * end].toarray().reshape(end - start, count)
+            rows = np.hstack([offsets, joints[start:end].toarray()])
+            gram += rows.T @ rows
+        values, vectors = np.linalg.eigh(gram)
+    vectors = vectors[:, np.argsort(-values, kind="stable")[:most]]
+    moved = joints @ vectors[count:]
+    for axis in range(3):
+        moved += rig.deltas[axis::3] @ vectors[axis * len(rig.targets) : (axis + 1) * len(rig.targets)]
+    return np.asarray(_WEIGHT * moved)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.reports import Report, Watch, table
 from facepipe.geometry.closest_points import closest_among, closest_places, place_shares
 from facepipe.geometry.geodesics import nearest_sources, surface_graph
+from facepipe.geometry.vectors import transformed_each
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_levels
@@ -50,7 +51,9 @@ class _Places(NamedTuple):
     """Where the points of the full face are on a level."""
 
     rows: IntArray  # (r,) points that have one
-    shares: Any  # (r, n) of the points of the level
+    corners: IntArray  # (3, r) points of the level about each
+    shares: FloatArray  # (3, r) of these
+    off: FloatArray  # (3, r) from the places to the points, at rest
 
 
 class FullFace:
@@ -81,29 +84,33 @@ class FullFace:
 
         :param step: called after every pose
         """
-        rigs = [replace(self._rig, points=points) for _, points in levels]
-        rest = [rig.evaluate() for rig in rigs]
+        rig = self._rig
+        matrices = rig.skinning_matrices(rig.rest)
+        blended = rig.blended(matrices)
+        rest = [transformed_each(points, blended) for _, points in levels]
         places = [
             _places(self._rest, at, self._graph, one, self._used) for at, (one, _) in zip(rest, levels, strict=True)
         ]
         shapes, skin, joints = ([dict[str, Distances]() for _ in levels] for _ in range(3))
-        for name in self._rig.shapes:
-            posed = self._rig.evaluate({name: 1.0})
-            moved = self._moves(posed)
-            for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
-                # a shape adds the same at both places, so no level is posed for it; a joint's turn does not
-                off = self._off(placed, posed, posed + (at - self._rest))
-                shapes[number][name] = _distances(off[moved[placed.rows]])
-                skin[number][name] = _distances(off[(moved & self._skin)[placed.rows]])
+        for name in rig.shapes:
+            offsets = rig.offsets(rig.weight_vector({name: 1.0}))
+            changed = np.flatnonzero((offsets != 0) @ np.ones(3, bool))
+            # a shape adds the same at both places, so no level is posed for it; a joint's turn does not
+            away = np.einsum("nij,nj->in", blended[changed, :, :3], offsets[changed])
+            for number, (rows, mm) in enumerate(self._off(places, changed, away, [away] * len(levels))):
+                shapes[number][name] = _distances(mm)
+                skin[number][name] = _distances(mm[self._skin[rows]])
             step()
-        for joint, name in enumerate(self._rig.joints):
-            coefficients = rest_coefficients(len(self._rig.joints))
+        influences = rig.influences.tocsc()
+        for joint, name in enumerate(rig.joints):
+            coefficients = rest_coefficients(len(rig.joints))
             coefficients[joint, 3] = _TURN
-            posed = self._rig.evaluate(coefficients=coefficients)
-            moved = self._moves(posed)
-            for number, (placed, rig) in enumerate(zip(places, rigs, strict=True)):
-                off = self._off(placed, posed, rig.evaluate(coefficients=coefficients))
-                joints[number][name] = _distances(off[moved[placed.rows]])
+            turned = rig.skinning_matrices(rig.local_transforms(coefficients))
+            changed = np.unique(influences[:, np.flatnonzero((turned != matrices).any(axis=(1, 2)))].indices)
+            turn = rig.blended(turned, changed) - blended[changed]
+            away, *aways = (transformed_each(one[changed], turn).T for one in (rig.points, *(at for _, at in levels)))
+            for number, (_, mm) in enumerate(self._off(places, changed, away, aways)):
+                joints[number][name] = _distances(mm)
             step()
         measured = []
         for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
@@ -111,7 +118,7 @@ class FullFace:
             away = self._by_mesh(np.setdiff1d(self._used[~self._card[self._used]], placed.rows))
             measured.append(
                 LevelErrors(
-                    rest=_distances(self._off(placed, self._rest, at)),
+                    rest=_distances(_lengths(placed.off) * self._mm),
                     shapes=shapes[number],
                     skin_shapes=skin[number],
                     joints=joints[number],
@@ -121,12 +128,27 @@ class FullFace:
             )
         return measured
 
-    def _moves(self, posed: FloatArray) -> BoolArray:
-        return np.asarray(np.linalg.norm(posed - self._rest, axis=1) * self._mm >= _MOVED)
+    def _off(
+        self, places: Sequence[_Places], changed: IntArray, away: FloatArray, aways: Sequence[FloatArray]
+    ) -> Iterator[tuple[IntArray, FloatArray]]:
+        """Of each level, the points (k,) that have places and move, and how many mm (k,) they are off these.
 
-    def _off(self, places: _Places, posed: FloatArray, level: FloatArray) -> FloatArray:
-        """(r,) mm from the points that have places to these."""
-        return np.asarray(np.linalg.norm(posed[places.rows] - places.shares @ level, axis=1) * self._mm)
+        :param changed: (c,) points, some of which may move; others don't
+        :param away: (3, c) how far these move, and of each level of `aways` at their places there
+        """
+        moving, moved = np.zeros((3, len(self._rest))), np.zeros(len(self._rest), bool)
+        moving[:, changed], moved[changed] = away, _lengths(away) * self._mm >= _MOVED
+        for placed, at_level in zip(places, aways, strict=True):
+            level = moving
+            if at_level is not away:
+                level = np.zeros_like(moving)
+                level[:, changed] = at_level
+            own = np.flatnonzero(moved[placed.rows])
+            rows = placed.rows[own]
+            off = placed.off.take(own, axis=1) + moving.take(rows, axis=1)
+            for corner, share in zip(placed.corners, placed.shares, strict=True):
+                off -= share[own] * level.take(corner[own], axis=1)
+            yield rows, _lengths(off) * self._mm
 
     def _cards(self, places: _Places, at: FloatArray, level: IntArray) -> dict[str, Distances]:
         """How far the points of cards that are gone are from those that stay, at their places `at` (n, 3)."""
@@ -146,10 +168,19 @@ class FullFace:
         return {int(one): points[number == one] for one in np.unique(number)}
 
 
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """(n,) of vectors (3, n)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=0)))
+
+
 def _distances(mm: FloatArray) -> Distances:
     if not len(mm):
         return Distances(points=0, mean_mm=0.0, p95_mm=0.0, max_mm=0.0)
-    p95 = float(np.percentile(mm, 95))
+    # as `np.percentile`, which takes longer to find out what it is given than to sort that
+    at = 0.95 * (len(mm) - 1)
+    low, high = int(at), min(int(at) + 1, len(mm) - 1)
+    ordered = np.partition(mm, (low, high))
+    p95 = float(ordered[low] + (at - low) * (ordered[high] - ordered[low]))
     return Distances(points=len(mm), mean_mm=float(mm.mean()), p95_mm=p95, max_mm=float(mm.max()))
 
 
@@ -163,9 +194,9 @@ def _places(points: FloatArray, at: FloatArray, graph: Any, level: IntArray, use
     owners = used[nearest[used] >= 0]
     pairs = sparse.coo_array(around[nearest[owners]])
     places = closest_among(points[owners], at, level, pairs.row.astype(np.int64), pairs.col.astype(np.int64))
-    entries = (np.repeat(np.arange(len(owners)), 3), level[places.triangles].ravel())
-    shares = sparse.csr_array((place_shares(places, at, level).ravel(), entries), shape=(len(owners), count))
-    return _Places(owners, shares)
+    shares = place_shares(places, at, level)
+    off = points[owners] - np.einsum("rc,rci->ri", shares, at[level[places.triangles]])
+    return _Places(owners, level[places.triangles].T.copy(), shares.T.copy(), off.T.copy())
 
 
 _SHARES = (0.4, 0.15, 0.05)  # of the face's triangles, where no numbers are given
@@ -239,8 +270,9 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
             rows.append(surface.level(count, skin_share, rows[-1]))
             bar.update()
         # of all levels together: the full face is posed once a shape and joint, not once a level too
-        errors = full.errors([(surface.points_of(row), surface.places(row)) for row in rows[1:]], bar.update)
-    made = [surface.meshes(row) for row in rows[1:]]
+        places = [surface.places(row) for row in rows[1:]]
+        errors = full.errors(list(zip(map(surface.points_of, rows[1:]), places, strict=True)), bar.update)
+    made = [surface.meshes(*level) for level in zip(rows[1:], places, strict=True)]
     author_levels(face, made)
     levels, warnings = [], []
     for number, (count, row, meshes, error) in enumerate(zip(counts, rows[1:], made, errors, strict=True), 1):
