@@ -88,14 +88,17 @@ class ActionLine:
         waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
         done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
         warn(done.report.warnings)
-        result = {"path": str(out), **done.report.to_dict(), **done.beside}
-        if isinstance(action, FileAction) and not a_folder:
-            result["bytes"] = out.stat().st_size
-        result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
+        if arguments.json:
+            result = {"path": str(out), **done.report.to_dict(), **done.beside}
+            if isinstance(action, FileAction) and not a_folder:
+                result["bytes"] = out.stat().st_size
+            result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
+            emit(result, "", as_json=True)
+            return 1 if action.missed(done.report) else 0
         text = [action.text(done.report, out)]
         for one in done.beside.values():
             text.append(f"{one['path']}: {one['bytes']:,} bytes" if isinstance(one, Mapping) else str(one))
-        emit(result, "\n".join(text), as_json=arguments.json)
+        emit({}, "\n".join(text), as_json=False)
         return 1 if action.missed(done.report) else 0
 
 
