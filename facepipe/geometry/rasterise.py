@@ -18,8 +18,8 @@ from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 KeyArray = npt.NDArray[np.uint64]
 
-ROWS_PER_CHUNK = 100_000
-FRAGMENTS_PER_CHUNK = 250_000
+ROWS_PER_CHUNK = 32_000  # of which arrays stay in the processor's cache
+FRAGMENTS_PER_CHUNK = 64_000
 NEAR = 1e-6  # smallest homogeneous w that counts as in front of the camera
 _ID_MASK = np.uint64(0xFFFFFFFF)
 
@@ -41,7 +41,7 @@ class ScreenTriangles:
 
     def take(self, at: IntArray) -> ScreenTriangles:
         """Those in the places `at`, in that order."""
-        return ScreenTriangles(**{each.name: getattr(self, each.name)[..., at] for each in fields(self)})
+        return ScreenTriangles(**{each.name: getattr(self, each.name).take(at, axis=-1) for each in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +79,13 @@ def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles
     """
     ids: IntArray = np.arange(len(triangles))
     if (points[:, 3] > NEAR).all():
+        columns = [column / points[:, 3] for column in points[:, :3].T]
         corner = np.ascontiguousarray(triangles.T)
-        x, y, nearness = ((column / points[:, 3])[corner] for column in points[:, :3].T)
+        for middles in (np.ceil(column - 0.5) for column in columns[:2]):  # most triangles of a small picture have none
+            low, high = _extent(middles.take(corner))
+            crossing = np.flatnonzero(low < high)
+            ids, corner = ids[crossing], corner.take(crossing, axis=1)
+        x, y, nearness = (column.take(corner) for column in columns)
     else:
         corners, ids = _clip(points[triangles], ids)
         x, y, nearness = (corners[..., axis].T / corners[..., 3].T for axis in range(3))
@@ -96,14 +101,15 @@ def on_screen(ids: IntArray, x: FloatArray, y: FloatArray, nearness: FloatArray)
     :param nearness: (3, t) above 0; larger is nearer
     """
     at = np.flatnonzero(_crosses_centers(x) & _crosses_centers(y))
-    ids, x, y, nearness = ids[at], x[:, at], y[:, at], nearness[:, at]
+    ids, x, y, nearness = ids[at], *(corner.take(at, axis=1) for corner in (x, y, nearness))
     for low, high in ((0, 1), (1, 2), (0, 1)):
         swapped = y[low] > y[high]
-        for corner in (x, y, nearness):
+        for corner in (x, nearness):
             corner[low], corner[high] = (
                 np.where(swapped, corner[high], corner[low]),
                 np.where(swapped, corner[low], corner[high]),
             )
+        y[low], y[high] = np.minimum(y[low], y[high]), np.maximum(y[low], y[high])
     (ux, vx), (uy, vy), (un, vn) = (corner[1:] - corner[0] for corner in (x, y, nearness))
     area = ux * vy - uy * vx
     flat = np.abs(area) <= 1e-12
@@ -157,16 +163,16 @@ def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iter
     x, y, counts = np.concatenate([x0, x0, x1]), np.concatenate([y0, y0, y1]), (last - first)[hit]
     for part in _pieces(counts, ROWS_PER_CHUNK):
         number, step = expand(counts[part])
-        owner = hit[part][number]
-        row = first[owner] + step
+        owner = hit[part].take(number)
+        row = first.take(owner) + step
         at = (row + 0.5).astype(screen.x.dtype)
-        short = owner + len(screen.ids) * np.where(at < screen.y[1, owner], 1, 2)
-        across = x[owner] + (at - y[owner]) * slope[owner]
-        other = x[short] + (at - y[short]) * slope[short]
+        short = owner + len(screen.ids) * np.where(at < y1.take(owner), 1, 2)
+        across = x.take(owner) + (at - y.take(owner)) * slope.take(owner)
+        other = x.take(short) + (at - y.take(short)) * slope.take(short)
         start = np.clip(np.ceil(np.minimum(across, other) - 0.5), 0, width).astype(np.int64)
         stop = np.clip(np.ceil(np.maximum(across, other) - 0.5), 0, width).astype(np.int64)
         some = np.flatnonzero(stop > start)
-        yield Spans(owner=owner[some], row=row[some], start=start[some], count=(stop - start)[some])
+        yield Spans(owner=owner.take(some), row=row.take(some), start=start.take(some), count=(stop - start).take(some))
 
 
 def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -178,8 +184,9 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
     """
     drawn = np.zeros(len(triangles), bool)
     drawn[ids] = True
-    which = (np.cumsum(drawn) - 1)[ids]
-    corners = [points[each][:, (0, 1, 3)].T for each in triangles[drawn].T]
+    which = (np.cumsum(drawn) - 1).take(ids)
+    columns = np.ascontiguousarray(points[:, (0, 1, 3)].T)
+    corners = [columns.take(each, axis=1) for each in triangles[drawn].T]
     crossed = []
     for a, b in ((corners[1], corners[2]), (corners[2], corners[0]), (corners[0], corners[1])):
         crossed.append(np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]))
@@ -188,7 +195,7 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
     determinant = (planes[0] * np.stack(corners[0])).sum(axis=0)
     scale = np.abs(planes).max(axis=(0, 1)) * np.where(determinant < 0, -1.0, 1.0)
     planes /= np.where(scale == 0, 1.0, scale)
-    over_depth = np.stack([a[which] * x + b[which] * y + c[which] for a, b, c in planes], axis=1)
+    over_depth = np.stack([a.take(which) * x + b.take(which) * y + c.take(which) for a, b, c in planes], axis=1)
     over_depth = np.maximum(over_depth, 0.0)
     total = over_depth.sum(axis=1, keepdims=True)
     thin = total[:, 0] <= 0
@@ -205,7 +212,7 @@ def interpolated(corners: Sequence[FloatArray], weights: FloatArray) -> FloatArr
 def expand(counts: IntArray) -> tuple[IntArray, IntArray]:
     """The owner of each of `counts` (m,) steps and its number there: of (2, 3) owners 0 0 1 1 1, numbers 0 1 0 1 2."""
     owner = np.repeat(np.arange(len(counts)), counts)
-    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts).take(owner)
 
 
 def _crosses_centers(positions: FloatArray) -> BoolArray:
@@ -257,16 +264,17 @@ def _fragments(
     for spans in spans_of(screen, width, top, bottom):
         for part in _pieces(spans.count, FRAGMENTS_PER_CHUNK):
             owner, row, start, count = (each[part] for each in (spans.owner, spans.row, spans.start, spans.count))
-            slope, down = (each[owner] for each in screen.gradient)
-            first = screen.nearness[owner]
-            first += (start + 0.5 - screen.x[0, owner]) * slope + (row + 0.5 - screen.y[0, owner]) * down
+            slope, down = screen.gradient.take(owner, axis=1)
+            first, (x, y) = screen.nearness.take(owner), (each[0].take(owner) for each in (screen.x, screen.y))
+            first += (start + 0.5 - x) * slope + (row + 0.5 - y) * down
             # Slivers have wild gradients; their nearness stays between that of their corners.
             far = (count - 1).astype(first.dtype)
-            first, last = (np.clip(end, *screen.limits[:, owner]) for end in (first, first + slope * far))
+            low, high = screen.limits.take(owner, axis=1)
+            first, last = (np.minimum(np.maximum(end, low), high) for end in (first, first + slope * far))
             slope = (last - first) / np.maximum(far, 1)
             span, step = expand(count)
-            nearness = (first[span] + slope[span] * step.astype(first.dtype)).astype(np.float32)
-            yield owner, ((row - top) * width + start)[span] + step, nearness, span
+            nearness = (first.take(span) + slope.take(span) * step.astype(first.dtype)).astype(np.float32)
+            yield owner, ((row - top) * width + start).take(span) + step, nearness, span
 
 
 def _pieces(counts: IntArray, limit: int) -> Iterator[slice]:

@@ -39,30 +39,30 @@ def spread(light: Float32Array, share: Float32Array, depth: Float32Array, width:
     if covered == 0 or pixels < 0.5:
         return np.zeros_like(light)
     cell = max(1, round(pixels / _CELLS))
-    pooled = np.dstack([light, share, depth])
-    # sums over square cells; those at the far borders may be smaller
-    rows, columns = (-(-side // cell) for side in pooled.shape[:2])
-    padded = np.zeros((rows * cell, columns * cell, pooled.shape[2]), np.float32)
-    padded[: pooled.shape[0], : pooled.shape[1]] = pooled
-    coarse = np.asarray(padded.reshape(rows, cell, columns, cell, -1).sum(axis=(1, 3)))
-    values, far = coarse[..., :4], _mean(coarse[..., 4], coarse[..., 3])
+    # (5, rows, columns) sums over square cells; those at the far borders may be smaller
+    rows, columns = (-(-side // cell) for side in share.shape)
+    padded = np.zeros((5, rows * cell, columns * cell), np.float32)
+    padded[:, : share.shape[0], : share.shape[1]] = [*np.moveaxis(light, -1, 0), share, depth]
+    coarse = np.asarray(padded.reshape(5, rows, cell, columns, cell).sum(axis=(2, 4)))
+    values, far = coarse[:4], _mean(coarse[4], coarse[3])
     steps = np.arange(np.ceil(2.5 * pixels / cell) + 1, dtype=np.float32)
     blurred = _blurred(values, far, np.exp(-((steps * cell / pixels) ** 2) / 2), width)
-    change = blurred - _mean(coarse[..., :3], coarse[..., 3:4])
-    enlarged = np.where(coarse[..., 3:4] > 0, change, 0).astype(np.float32)
-    shape = light.shape[:2]
-    # cells as pixels (h, w, c) of `shape`, blended between the cells' middles
-    for axis in (0, 1):
-        at = np.clip((np.arange(shape[axis], dtype=np.float32) + 0.5) / cell - 0.5, 0, enlarged.shape[axis] - 1)
+    change = blurred - _mean(coarse[:3], coarse[3])
+    enlarged = np.where(coarse[3] > 0, change, 0).astype(np.float32)
+    # cells as pixels (3, h, w), blended between the cells' middles
+    for axis in (1, 2):
+        at = np.arange(share.shape[axis - 1], dtype=np.float32) + 0.5
+        at = np.clip(at / cell - 0.5, 0, enlarged.shape[axis] - 1)
         low = at.astype(np.int64)
         high = np.minimum(low + 1, enlarged.shape[axis] - 1)
-        between = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1)).astype(np.float32)
+        between = (at - low).reshape((1, -1, 1) if axis == 1 else (1, 1, -1)).astype(np.float32)
         enlarged = enlarged.take(low, axis=axis) * (1 - between) + enlarged.take(high, axis=axis) * between
-    return enlarged
+    return np.ascontiguousarray(np.moveaxis(enlarged, 0, -1))
 
 
 def _blurred(values: Float32Array, depth: Float32Array, weights: Float32Array, width: float) -> Float32Array:
-    """(h, w, c) values, the last of which is their share, blurred along rows, then columns, where the depth is alike.
+    """(c - 1, h, w) of values (c, h, w), the last of which is their share: blurred along rows, then columns, where the
+    depth is alike.
 
     :param weights: of neighbours 0, 1, 2 ... pixels away
     """
@@ -74,11 +74,11 @@ def _blurred(values: Float32Array, depth: Float32Array, weights: Float32Array, w
                 for each in (slice(0, -step), slice(step, None))
             )
             apart = (depth[lower] - depth[upper]) / np.float32(width)
-            alike = (weights[step] * np.exp(-apart * apart))[..., None]
-            total[lower] += values[upper] * alike
-            total[upper] += values[lower] * alike
+            alike = weights[step] * np.exp(-apart * apart)
+            total[:, *lower] += values[:, *upper] * alike
+            total[:, *upper] += values[:, *lower] * alike
         values = total
-    return _mean(values[..., :-1], values[..., -1:])
+    return _mean(values[:-1], values[-1])
 
 
 def _mean(values: Float32Array, share: Float32Array) -> Float32Array:
@@ -185,29 +185,30 @@ def fragments(
     owner, row, column = spans.owner[first], spans.row[first] // samples, starts.min(axis=1) // samples
     # of each row of pixels the nearness of its triangle's plane in the first sample, its change to the right and down,
     # and the least and most anywhere in the triangle
-    slope, down = (each[owner] for each in screen.gradient)
-    begin = screen.nearness[owner] + (column * samples + 0.5 - screen.x[0, owner]) * slope
-    begin = begin + (row * samples + 0.5 - screen.y[0, owner]) * down
-    planes = [each.astype(np.float32) for each in (begin, slope, down, *screen.limits[:, owner])]
+    slope, down = screen.gradient.take(owner, axis=1)
+    begin = screen.nearness.take(owner) + (column * samples + 0.5 - screen.x[0].take(owner)) * slope
+    begin = begin + (row * samples + 0.5 - screen.y[0].take(owner)) * down
+    planes = [each.astype(np.float32) for each in (begin, slope, down, *screen.limits.take(owner, axis=1))]
     begin, slope, down, _, high = planes
     group, step = expand(-(-stops.max(axis=1) // samples) - column)
-    pixel = ((row - top // samples) * width + column)[group] + step
+    pixel = ((row - top // samples) * width + column).take(group) + step
     beside = (step * samples).astype(np.float32)
     corner = begin + (np.maximum(slope, 0) + np.maximum(down, 0)) * (samples - 1)
-    most = np.minimum(corner[group] + beside * slope[group], high[group])
-    shown = np.flatnonzero(most > behind.reshape(-1)[pixel])
-    group, pixel = group[shown], pixel[shown]
-    row, column = row[group], column[group] + step[shown]
-    begin, slope, down, low, high = (each[group] for each in planes)
-    begin = begin + beside[shown] * slope
+    most = np.minimum(corner.take(group) + beside * slope.take(group), high.take(group))
+    shown = np.flatnonzero(most > behind.reshape(-1).take(pixel))
+    group, pixel = group.take(shown), pixel.take(shown)
+    row, column = row.take(group), column.take(group) + step.take(shown)
+    begin, slope, down, low, high = (each.take(group) for each in planes)
+    begin = begin + beside.take(shown) * slope
     covered, right, below, total = (np.zeros(len(group), np.float32) for _ in range(4))
     for y in range(samples):
-        start, stop = starts[group, y], stops[group, y]
+        start, stop = starts[:, y].take(group), stops[:, y].take(group)
+        line = (row * samples + y - top) * nearest.shape[1]
         for x in range(samples):
             at = column * samples + x
-            nearness = np.clip(begin + (x * slope + y * down), low, high)
+            nearness = np.minimum(np.maximum(begin + (x * slope + y * down), low), high)
             seen = (start <= at) & (at < stop)
-            seen &= nearest[row * samples + y - top, at] < nearness
+            seen &= nearest.reshape(-1).take(line + at) < nearness
             covered += seen
             right += seen * np.float32(x)
             below += seen * np.float32(y)
@@ -383,33 +384,37 @@ def seen(shader: Shader, size: int, samples: int) -> tuple[Spots, Layers | None]
 def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
     """The spots of a band of rows from `top` down."""
     width = raster.key.shape[1] // samples
-    grid = raster.triangle.astype(np.int32).reshape(-1, samples, width, samples)
+    # names of triangles as the raster has them: of all samples, numbers and nearness took a fifth of a picture's time
+    grid = raster.key.astype(np.uint32).reshape(-1, samples, width, samples)
     middle = samples // 2
-    center = grid[:, middle, :, middle]
-    even = np.ones(center.shape, bool)
+    even = np.ones((grid.shape[0], width), bool)
     for y, x in np.ndindex(samples, samples):
-        even &= grid[:, y, :, x] == center
+        even &= grid[:, y, :, x] == grid[:, middle, :, middle]
     mixed = np.flatnonzero(~even)
-    inner = grid.transpose(0, 2, 1, 3).reshape(-1, samples * samples)[mixed]
-    near = raster.nearness.reshape(grid.shape).transpose(0, 2, 1, 3).reshape(-1, samples * samples)[mixed]
+    # (samples ** 2, p) of the pixels that show more than one triangle
+    rows, columns = np.divmod(mixed, width)
+    first = (rows * width * samples + columns) * samples
+    steps = (np.arange(samples)[:, None] * width * samples + np.arange(samples)).reshape(-1, 1)
+    some = Raster(key=raster.key.reshape(-1).take(first + steps))
+    inner, near = some.triangle, some.nearness
+    center = Raster(key=raster.key.reshape(grid.shape)[:, middle, :, middle]).triangle
     # pixels whose triangles are one smooth surface can be shaded at once
-    shown = center.ravel()[mixed]
-    covered = (inner >= 0).all(axis=1)
+    shown = center.ravel().take(mixed)
+    covered = (inner >= 0).all(axis=0)
     surface = shader.scene.surface
-    plain = covered & (surface[inner] == surface[shown][:, None]).all(axis=1)
+    plain = covered & (surface[inner] == surface[shown]).all(axis=0)
     at = np.flatnonzero(plain)
-    facets = shader.unit_facets
-    level = np.full(len(at), 1.0, np.float32)
-    for sample in range(inner.shape[1]):
-        cosine = np.einsum("pc,pc->p", facets[inner[at, sample]], facets[shown[at]])
-        level = np.minimum(level, cosine)
-    depth = 1.0 / np.maximum(near[at], 1e-12)
-    step = np.ptp(depth, axis=1) * shader.camera.focal / depth.min(axis=1) if len(at) else level
+    facets, inner_at = np.ascontiguousarray(shader.unit_facets.T), inner.take(at, axis=1)
+    level, of_shown = np.full(len(at), 1.0, np.float32), facets.take(shown.take(at), axis=1)
+    for sample in inner_at:
+        level = np.minimum(level, (facets.take(sample, axis=1) * of_shown).sum(axis=0))
+    depth = 1.0 / np.maximum(near.take(at, axis=1), 1e-12)
+    step = np.ptp(depth, axis=0) * shader.camera.focal / depth.min(axis=0) if len(at) else level
     plain[at] = (level > _SMOOTH) & (step < _STEP)
     even.ravel()[mixed[plain]] = True
     once = np.flatnonzero(even & (center >= 0))
     # a spot for each triangle of pixels that show several: in the middle of the samples that it covers
-    several_shown, edge_pixel = inner[~plain], mixed[~plain]
+    several_shown, edge_pixel = inner.T[~plain], mixed[~plain]
     which, of_pixel = np.nonzero(several_shown >= 0)
     triangle = several_shown[which, of_pixel].astype(np.int64)
     several = int(triangle.max(initial=0)) + 1
@@ -441,7 +446,7 @@ def _softened(shaded: Shaded, spots: Spots, size: int, focal: float, mm: float) 
         return np.bincount(place, values, int(np.prod(shape))).reshape(shape).astype(np.float32)
 
     def read(pixels: Float32Array) -> Float32Array:
-        return np.asarray(pixels.reshape(-1, *pixels.shape[2:])[place])
+        return np.asarray(pixels.reshape(-1, *pixels.shape[2:]).take(place, axis=0))
 
     share, depth = image(spots.share), image(spots.share * shaded.depth)
     open_to = read(open_share(depth, share, _HOLLOW_MM / mm, focal))
@@ -450,9 +455,7 @@ def _softened(shaded: Shaded, spots: Spots, size: int, focal: float, mm: float) 
     values = image(spots.share * shaded.key_light)
     # (h, w) values without the grain of single pixels: means over 5 by 5 of them at about the same depth
     far = _mean(depth, share)
-    hidden = read(
-        _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
-    )
+    hidden = read(_blurred(np.stack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[0])
     dimmed = {name: getattr(shaded.lit, name) * open_to[:, None] for name in ("diffuse", "highlights")}
     lit = replace(shaded.lit, **dimmed)
     shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=lit)

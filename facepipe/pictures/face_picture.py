@@ -79,11 +79,12 @@ def pictures(parts: FaceParts, points: FloatArray | None, several: Sequence[Pict
 
 def poses(parts: FaceParts, several: Sequence[FloatArray | None], options: PictureOptions) -> list[Image]:
     """Pictures of a face at several points, quicker than one `picture` after the other."""
-    images, textures = [], None
+    images: list[Image] = []
+    first: Scene | None = None
     for points in several:
-        scene = build_scene(parts, points, options.size, textures)
+        scene = build_scene(parts, points, options.size, first)
         images.append(_picture(parts, scene, options))
-        textures = scene.textures
+        first = first or scene
     return images
 
 

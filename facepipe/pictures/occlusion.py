@@ -38,8 +38,7 @@ class Sky:
         """(n, c) shares of light that comes from the directions with strengths (d, c), by the cosine law."""
         cosine = normals @ self.directions.T
         cosine[cosine <= _FACING] = 0.0
-        full = np.einsum("nd,dc->nc", cosine, light)
-        arriving = np.einsum("nd,dc->nc", cosine * self.seen, light)
+        full, arriving = cosine @ light, (cosine * self.seen.astype(np.float32)) @ light
         return np.where(full > 0, arriving / np.where(full > 0, full, 1.0), 1.0)
 
 
@@ -54,21 +53,19 @@ class DepthMap:
 
     def lit(self, points: FloatArray, normals: FloatArray, radius: int = 1) -> FloatArray:
         """(n,) share of light that reaches points with unit normals, softened over `radius` map pixels."""
-        at = self._coordinates(points, normals, 0.6 + radius)
+        x, y, limit = self._coordinates(points, normals, 0.6 + radius)
         # percentage-closer filtering: the share of a bilinearly weighted window that is not nearer than the point
-        size = self.nearness.shape[0]
-        x, y = at[:, 0] - 0.5, at[:, 1] - 0.5
-        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-        fx, fy = x - column, y - row
-        limit = at[:, 2]
-        flat = self.nearness.ravel()
-        lit = np.zeros(len(at), np.float32)
-        for dy in range(-radius, radius + 2):
-            weight_y = _window(dy, radius, fy)
+        size, steps = self.nearness.shape[0], range(-radius, radius + 2)
+        column, row = (np.floor(each - 0.5).astype(np.int32) for each in (x, y))
+        right, down = x - 0.5 - column.astype(np.float32), y - 0.5 - row.astype(np.float32)
+        columns = [np.clip(column + step, 0, size - 1) for step in steps]
+        flat, lit = self.nearness.ravel(), np.zeros(len(x), np.float32)
+        for dy in steps:
             line = np.clip(row + dy, 0, size - 1) * size
-            for dx in range(-radius, radius + 2):
-                clear = flat[line + np.clip(column + dx, 0, size - 1)] <= limit
-                lit += weight_y * _window(dx, radius, fx) * clear
+            along = np.zeros(len(x), np.float32)
+            for dx, place in zip(steps, columns, strict=True):
+                along += _windowed(dx, radius, right, flat.take(line + place) <= limit)
+            lit += _windowed(dy, radius, down, along)
         return lit / (2 * radius + 1) ** 2
 
     def softly_lit(self, points: FloatArray, normals: FloatArray, spread: float, turn: FloatArray) -> FloatArray:
@@ -80,35 +77,35 @@ class DepthMap:
         :param turn: (n,) radians by which each point's sample pattern is turned, which makes noise of bands
         """
         at = self._coordinates(points, normals, 1.2)
-        gap, blockers = np.zeros(len(at), np.float32), np.zeros(len(at), np.float32)
+        gap, blockers = np.zeros_like(at[0]), np.zeros_like(at[0])
         for x, y in _spiral(turn):
             above = self._above(at, x * _WIDEST * 0.6, y * _WIDEST * 0.6)
             blocked = above > 0
             gap += np.where(blocked, above, 0)
             blockers += blocked
         width = np.clip(gap / np.maximum(blockers, 1) * spread, 1.0, _WIDEST)
-        lit = np.zeros(len(at), np.float32)
+        lit = np.zeros_like(at[0])
         for x, y in _spiral(turn):
             # a wide kernel reaches along the surface: what is not clearly above the point does not hide it.
             lit += self._above(at, x * width, y * width) <= 0.5 * width * np.hypot(x, y)
         return np.where(blockers > 0, lit / _TAPS, 1.0)
 
-    def _above(self, at: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """(n,) how far what the light sees beside map coordinates is above them, map pixels."""
+    def _above(self, at: Float32Array, x: FloatArray, y: FloatArray) -> FloatArray:
+        """(n,) how far what the light sees beside map coordinates (3, n) is above them, map pixels."""
         size = self.nearness.shape[0]
-        column = np.clip(at[:, 0] + x, 0, size - 1).astype(np.int32)
-        row = np.clip(at[:, 1] + y, 0, size - 1).astype(np.int32)
-        return np.asarray(self.nearness.ravel()[row * size + column] - at[:, 2])
+        column = np.clip(at[0] + x, 0, size - 1).astype(np.int32)
+        row = np.clip(at[1] + y, 0, size - 1).astype(np.int32)
+        return np.asarray(self.nearness.ravel().take(row * size + column) - at[2])
 
     def _coordinates(self, points: FloatArray, normals: FloatArray, reach: float) -> Float32Array:
-        """(n, 3) column, row and nearness of points lifted from their surface by what `reach` map pixels need.
+        """(3, n) column, row and nearness of points lifted from their surface by what `reach` map pixels need.
 
         Leaving the surface along its normal, more at grazing light, keeps it from shading itself.
         """
         facing = np.abs(normals @ self.axes[2])
         lift = reach * np.sqrt(np.maximum(1 - facing**2, 0)) + 0.3
         lifted = points + normals * (lift / self.scale)[:, None]
-        return np.asarray(lifted @ (self.axes.T * self.scale) + self.origin, dtype=np.float32)
+        return np.asarray(self.scale * self.axes @ lifted.T + self.origin[:, None], dtype=np.float32)
 
 
 def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, resolution: int) -> DepthMap:
@@ -127,7 +124,8 @@ def depth_maps(
     axes = np.stack([right, np.cross(backward, right), backward])
     drawn = np.zeros(len(points), dtype=bool)
     drawn[triangles] = True
-    low, high = (limit(axes @ points[drawn].T, axis=1) for limit in (np.min, np.max))
+    placed = (axes @ points.T).compress(drawn, axis=1)
+    low, high = placed.min(axis=1), placed.max(axis=1)
     scale = (resolution - 8) / max(float(np.max(high - low)), 1e-12)
     # Nearness starts at 1: 0 marks an empty pixel.
     origin = np.array([resolution / 2, resolution / 2, 1.0]) - scale * np.append((low + high)[:2] / 2, low[2])
@@ -160,8 +158,8 @@ def visible_sky(
         for side, light in zip(sides, maps, strict=True):
             cosine = normals @ directions[side]
             facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
-            outward = normals[facing] * np.sign(cosine[facing])[:, None]
-            seen[facing, side] = 1.0 if light is None else light.lit(points[facing], outward)
+            outward = normals.take(facing, axis=0) * np.sign(cosine.take(facing))[:, None]
+            seen[facing, side] = 1.0 if light is None else light.lit(points.take(facing, axis=0), outward)
 
     mapped(look, range(len(directions) // 2))
     return Sky(directions=directions, seen=seen)
@@ -194,10 +192,8 @@ def _spiral(turn: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         yield x * cosine - y * sine, x * sine + y * cosine
 
 
-def _window(step: int, radius: int, fraction: Float32Array) -> FloatArray:
-    """Box of 2 radius + 1 pixels, moved by a fraction of a pixel: its ends fade in and out."""
+def _windowed(step: int, radius: int, fraction: Float32Array, values: FloatArray | BoolArray) -> FloatArray | BoolArray:
+    """Values in a box of 2 radius + 1 pixels, moved by a fraction of a pixel: its ends fade in and out."""
     if step == -radius:
-        return 1 - fraction
-    if step == radius + 1:
-        return fraction
-    return np.ones_like(fraction)
+        return (1 - fraction) * values
+    return fraction * values if step == radius + 1 else values

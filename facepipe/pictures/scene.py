@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -24,6 +24,7 @@ CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2
 _DATA: Float32Array = (np.arange(256) / 255.0).astype(np.float32)
 _SRGB: Float32Array = from_srgb(_DATA.astype(np.float64)).astype(np.float32)
 _DENSE = 0.4  # opacity from which a piece of a card hides the light like a solid one
+_ALL = slice(None)
 WELD_COSINE = 0.5  # points at one place share a normal when theirs differ by less than 60 degrees
 
 
@@ -61,7 +62,7 @@ class TextureCache:
         values = np.empty((len(uv), part.stop - part.start), np.float32)
         for number in np.flatnonzero(np.bincount(chosen)):
             at = np.flatnonzero(chosen == number)
-            values[at] = bilinear(levels[number][..., part], uv[at], source.wrap_s, source.wrap_t, table)
+            values[at] = bilinear(levels[number], uv.take(at, axis=0), source.wrap_s, source.wrap_t, table, part)
         values = values * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32)
         return values, texels
 
@@ -78,9 +79,17 @@ def _halved(pixels: ByteArray) -> list[ByteArray]:
 
 
 def bilinear(
-    pixels: AnyArray, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat", table: Float32Array | None = None
+    pixels: AnyArray,
+    uv: FloatArray,
+    wrap_s: str = "repeat",
+    wrap_t: str = "repeat",
+    table: Float32Array | None = None,
+    channels: slice = _ALL,
 ) -> Float32Array:
-    """(m, c) values of pixels (h, w, c), top row first, by a table of 8 bits if given, at UVs (m, 2) with v up."""
+    """(m, c) values of some channels of pixels (h, w, d), top row first, at UVs (m, 2) with v up.
+
+    :param table: of the values of 8 bits
+    """
     height, width = pixels.shape[:2]
     x = uv[:, 0] * width - 0.5
     y = (1.0 - uv[:, 1]) * height - 0.5
@@ -88,8 +97,10 @@ def bilinear(
     fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
     left, right = _wrap(x0, width, wrap_s), _wrap(x0 + 1, width, wrap_s)
     above, below = _wrap(y0, height, wrap_t), _wrap(y0 + 1, height, wrap_t)
-    corners = (pixels[row, column] for row in (above, below) for column in (left, right))
-    nw, ne, sw, se = corners if table is None else (table[corner] for corner in corners)
+    flat = pixels.reshape(-1, pixels.shape[2])
+    places = (row * width + column for row in (above, below) for column in (left, right))
+    corners = (flat.take(place, axis=0)[:, channels] for place in places)
+    nw, ne, sw, se = corners if table is None else (table.take(corner) for corner in corners)
     upper, lower = nw * (1 - fx) + ne * fx, sw * (1 - fx) + se * fx
     return np.asarray(upper * (1 - fy) + lower * fy)
 
@@ -137,6 +148,8 @@ class Scene:
     first_point: IntArray  # (t,) first point of the triangle's mesh
     textures: TextureCache
     size: int  # pixels a side of the largest picture that shows it
+    uv_sets: dict[str, Float32Array] = field(default_factory=dict)  # what `uv_corners` found
+    like: Scene | None = None  # the same face at other points: what does not depend on these is found once
 
     @property
     def see_through(self) -> BoolArray:
@@ -153,6 +166,8 @@ class Scene:
     @cached_property
     def occluders(self) -> IntArray:
         """(o, 3) triangles that keep light away: solid ones, and those of cards where they are dense."""
+        if self.like is not None:
+            return self.like.occluders
         solid = ~self.see_through
         for number, surface in enumerate(self.surfaces):
             opacity = surface.material.opacity if surface.material else 1.0
@@ -186,6 +201,8 @@ class Scene:
 
     def uv_corners(self, name: str) -> Float32Array:
         """(t, 3, 2) texture coordinates of a UV set at the triangles' corners; NaN where the mesh lacks it."""
+        if name in self.uv_sets:
+            return self.uv_sets[name]
         corners = np.full((len(self.triangles), 3, 2), np.nan, np.float32)
         for number, surface in enumerate(self.surfaces):
             uv_set = next((one for one in surface.mesh.uv_sets if one.name == name), None)
@@ -194,8 +211,9 @@ class Scene:
                 continue
             at = self.triangles[of_surface] - self.first_point[of_surface, None]
             if uv_set.indices is not None:
-                at = np.asarray(uv_set.indices, dtype=np.int64)[self.corners[of_surface]]
-            corners[of_surface] = np.asarray(uv_set.values)[at]
+                at = np.asarray(uv_set.indices, dtype=np.int64).take(self.corners.take(of_surface, axis=0))
+            corners[of_surface] = np.asarray(uv_set.values).take(at, axis=0)
+        self.uv_sets[name] = corners
         return corners
 
 
@@ -218,13 +236,11 @@ def world_points(parts: FaceParts, points: FloatArray | None, what: str = "point
     return y_up(placed, parts.up_axis)
 
 
-def build_scene(
-    parts: FaceParts, points: FloatArray | None, size: int = 800, textures: TextureCache | None = None
-) -> Scene:
+def build_scene(parts: FaceParts, points: FloatArray | None, size: int = 800, like: Scene | None = None) -> Scene:
     """The triangles of every mesh at `points` (n, 3) world space; None: the neutral.
 
     :param size: pixels a side of the largest picture that shows it
-    :param textures: where those of the materials may be decoded already
+    :param like: of the same parts and size at other points
     :raises InputError: points of the wrong shape or not finite
     """
     placed = world_points(parts, points)
@@ -259,8 +275,10 @@ def build_scene(
         surface=surface[drawn],
         surfaces=tuple(surfaces),
         first_point=first[drawn],
-        textures=textures or TextureCache(largest=size * 5 // 4),  # a face fills the picture
+        textures=TextureCache(largest=size * 5 // 4) if like is None else like.textures,  # a face fills the picture
         size=size,
+        uv_sets={} if like is None else like.uv_sets,
+        like=like,
     )
 
 
