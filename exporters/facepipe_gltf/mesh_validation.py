@@ -199,7 +199,8 @@ def bounds(document: RawDocument) -> Iterator[Problem]:
             continue
         if i in document.unpacked:  # as they were before Draco rounded them
             continue
-        for name, actual in (("min", values.min(axis=0)), ("max", values.max(axis=0))):
+        columns = np.ascontiguousarray(values.T)  # over rows of three numbers it takes ten times as long
+        for name, actual in (("min", columns.min(axis=1)), ("max", columns.max(axis=1))):
             if name in accessor and not _same(accessor[name], actual):
                 yield f"/accessors/{i}/{name}", f"{accessor[name]}, expected {[float(f'{x:.6g}') for x in actual]}"
     for where, primitive in primitives(document):

@@ -219,9 +219,13 @@ def block_size(matrices: Sequence[tuple[sparse.csr_array, int]], points: int) ->
 
     :param matrices: (points, columns) sparse matrices, each with the bytes stored for one of its entries
     """
-    costs = []
+    costs, entries = [], [(*_entries(matrix), matrix.shape[1], cost) for matrix, cost in matrices]
     for size in _BLOCK_SIZES:
-        filled = sum(cost * size * int(_block_mask(matrix, size).sum()) for matrix, cost in matrices)
+        filled = 0
+        for rows, columns, width, cost in entries:
+            mask = np.zeros(-(-points // size) * width, dtype=bool)
+            mask[rows // size * width + columns] = True
+            filled += cost * size * int(np.count_nonzero(mask))
         blocks = -(-points // size)
         costs.append(1.2 * filled + _BLOCK_BYTES * blocks + (_TRIM_BYTES if points % size else 0))
     return _BLOCK_SIZES[int(np.argmin(costs))]
@@ -255,11 +259,18 @@ def partition(matrix: sparse.csr_array, size: int, entry_bytes: int) -> Partitio
 
 def _block_mask(matrix: sparse.csr_array, size: int) -> Mask:
     """(blocks, columns) whether any point of a block has an entry."""
+    rows, columns = _entries(matrix)
+    mask = np.zeros((-(-matrix.shape[0] // size), matrix.shape[1]), dtype=bool)
+    mask[rows // size, columns] = True
+    return mask
+
+
+def _entries(matrix: sparse.csr_array) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the entries that are not 0."""
     coo = matrix.tocoo()
     rows, columns = coo.coords
-    mask = np.zeros((-(-matrix.shape[0] // size), matrix.shape[1]), dtype=bool)
-    mask[rows[coo.data != 0] // size, columns[coo.data != 0]] = True
-    return mask
+    there = np.flatnonzero(coo.data != 0)
+    return rows.take(there), columns.take(there)
 
 
 def _merge(patterns: Mask, weight: FloatArray | IntArray) -> IntArray:
@@ -267,12 +278,13 @@ def _merge(patterns: Mask, weight: FloatArray | IntArray) -> IntArray:
 
     The bytes of a group are ``|union of its patterns| * weight``.
     """
-    union, weight = patterns.astype(np.float64), weight.astype(np.float64)
+    # whole numbers, which float32 holds exactly: a pattern has few thousand columns
+    union, weight = patterns.astype(np.float32), weight.astype(np.float64)
     labels, alive = np.arange(len(union)), np.ones(len(union), dtype=bool)
-    width = union.sum(axis=1)
-    fill = np.empty((len(union), len(union)))
-    for i in range(len(union)):
-        fill[i] = _fill(union, width, weight, alive, i)
+    width = union.sum(axis=1, dtype=np.float64)
+    united = width + width[:, None] - union @ union.T
+    fill = united * (weight + weight[:, None]) - width * weight - (width * weight)[:, None]
+    np.fill_diagonal(fill, np.inf)
     nearest, least = fill.argmin(axis=1), fill.min(axis=1)
     for groups in range(len(union), 1, -1):
         keep = int(least.argmin())
@@ -284,21 +296,18 @@ def _merge(patterns: Mask, weight: FloatArray | IntArray) -> IntArray:
         width[keep], weight[keep] = union[keep].sum(), weight[keep] + weight[gone]
         alive[gone] = False
         fill[gone], fill[:, gone], least[gone] = np.inf, np.inf, np.inf
-        row = _fill(union, width, weight, alive, keep)
+        # (p,) zeros in bytes that merging it with each other group brings; infinite where there is none
+        united = width + width[keep] - union @ union[keep]
+        row = united * (weight + weight[keep]) - width * weight - width[keep] * weight[keep]
+        row[~alive] = np.inf
+        row[keep] = np.inf
         fill[keep], fill[:, keep] = row, row
         # only rows that the merge concerns: all pairs anew each time would be cubic in the patterns
-        stale = np.flatnonzero(alive & (np.isin(nearest, (keep, gone)) | (row < least)))
-        nearest[stale], least[stale] = fill[stale].argmin(axis=1), fill[stale].min(axis=1)
+        stale = np.flatnonzero(alive & ((nearest == keep) | (nearest == gone) | (row < least)))
+        rows = fill.take(stale, axis=0)
+        nearest[stale] = rows.argmin(axis=1)
+        least[stale] = rows[np.arange(len(stale)), nearest[stale]]
     return labels
-
-
-def _fill(union: FloatArray, width: FloatArray, weight: FloatArray, alive: Mask, group: int) -> FloatArray:
-    """(p,) zeros in bytes that merging `group` with each other group brings; infinite where there is none."""
-    united = width + width[group] - union @ union[group]
-    fill = united * (weight + weight[group]) - width * weight - width[group] * weight[group]
-    fill[~alive] = np.inf
-    fill[group] = np.inf
-    return np.asarray(fill)
 
 
 def moved_lengths(rig: Rig) -> sparse.csr_array:
