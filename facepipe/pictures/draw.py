@@ -233,6 +233,7 @@ class Layers:
     triangle: IntArray  # (f,)
     x: Float32Array  # (f,) pixels, in the middle of what is covered
     y: Float32Array  # (f,)
+    opacity: Float32Array  # (f,)
     weight: Float32Array  # (f,) share of the pixel that it covers and whose light comes past the layers before it
     veiled: IntArray  # (v,) pixels with layers
     passed: Float32Array  # (v,) share of the light from behind all layers
@@ -246,7 +247,7 @@ class Layers:
     def blend(self, picture: Float32Array, shader: Shader) -> None:
         """Put the layers over a linear picture (pixels, 3)."""
         picture[self.veiled] *= self.passed[:, None]
-        shaded = shader.shade(self.triangle, self.x, self.y)
+        shaded = shader.shade(self.triangle, self.x, self.y, opacity=self.opacity)
         color = shaded.toned(shader.studio.tone) * self.weight[:, None]
         for channel in range(3):
             picture[:, channel] += np.bincount(self.pixel, color[:, channel], minlength=len(picture))
@@ -318,6 +319,7 @@ def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first:
         triangle=fragments.triangle[at],
         x=fragments.x[at],
         y=fragments.y[at],
+        opacity=opacity[at],
         weight=weight[at],
         veiled=veiled + first,
         passed=np.exp(np.add.reduceat(clear, start)).astype(np.float32) if len(start) else np.zeros(0, np.float32),

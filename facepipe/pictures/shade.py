@@ -82,15 +82,23 @@ class Materials:
             textures |= {one.texture: None for one in _inputs(self._each[number]) if one.uv_set in names}
         return list(textures)
 
-    def at(self, ids: IntArray, weights: Float32Array, normals: Float32Array, colors: Float32Array) -> Surfaces:
+    def at(
+        self,
+        ids: IntArray,
+        weights: Float32Array,
+        normals: Float32Array,
+        colors: Float32Array,
+        opacity: Float32Array | None = None,
+    ) -> Surfaces:
         """The surface at barycentrics (m, 3) in triangles `ids` (m,).
 
         :param normals: (m, 3) unit, camera axes, to the outside
         :param colors: (m, 3) the points' own
+        :param opacity: (m,) of `opacity`, if that is known
         """
         kind = self._scene.surface[ids]
         table = self._table.take(kind, axis=0)
-        opacity = self.opacity(ids, weights)
+        opacity = self.opacity(ids, weights) if opacity is None else opacity
         surfaces = Surfaces(
             base=table[:, 0:3] * np.where(self._colored[kind, None], colors, 1.0).astype(np.float32),
             emission=table[:, 3:6].copy(),
@@ -427,13 +435,24 @@ class Shader:
         calls: list[Callable[[], object]] = [lambda: self.point_values, lambda: self.shadow, *levels]
         mapped(lambda call: call(), calls)
 
-    def shade(self, ids: IntArray, x: FloatArray, y: FloatArray, *, grainy: bool = False) -> Shaded:
+    def shade(
+        self,
+        ids: IntArray,
+        x: FloatArray,
+        y: FloatArray,
+        *,
+        grainy: bool = False,
+        opacity: Float32Array | None = None,
+    ) -> Shaded:
         """What leaves screen positions (m,) inside triangles `ids` (m,).
 
         :param grainy: soft shadows may have the grain of single pixels, which the caller takes out
+        :param opacity: (m,) of `opacity`, if that is known
         """
         parts = [slice(start, start + CHUNK) for start in range(0, len(ids), CHUNK)] or [slice(0, 0)]
-        return joined(mapped(lambda part: self._shade(ids[part], x[part], y[part], grainy), parts))
+        known = (None for _ in parts) if opacity is None else (opacity[part] for part in parts)
+        calls = zip(parts, known, strict=True)
+        return joined(mapped(lambda call: self._shade(ids[call[0]], x[call[0]], y[call[0]], grainy, call[1]), calls))
 
     def opacity(self, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """(m,) opacity at screen positions (m,) inside triangles `ids` (m,)."""
@@ -444,13 +463,13 @@ class Shader:
             opacity[part] = self.materials.opacity(ids[part], weights.astype(np.float32))
         return opacity
 
-    def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray, grainy: bool) -> Shaded:
+    def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray, grainy: bool, opacity: Float32Array | None) -> Shaded:
         weights = barycentrics(self.homogeneous, self.scene.triangles, ids, x, y).astype(np.float32)
         corners = self.scene.triangles.take(ids, axis=0).T
         values = interpolated([self.point_values.take(corner, axis=0) for corner in corners], weights)
         front = self.front[ids]
         normals = _unit(values[:, 3:6])
-        surfaces = self.materials.at(ids, weights, normals, values[:, 6:9])
+        surfaces = self.materials.at(ids, weights, normals, values[:, 6:9], opacity)
         if self.heatmap is not None:
             surfaces.base[:] = self.heatmap.colors(values[:, 9])
         elif self.paint is not None:
