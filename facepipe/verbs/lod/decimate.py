@@ -35,7 +35,7 @@ _WHOLE = 0.6
 _SAME = 1e-6  # border points nearer than this share of the face's size are one
 _SPACING = 0.2  # of the size of a line, between points of it that stay: some 12 of a circle
 _TURN = 0.2  # radians by which joints are taken to turn
-_TOGETHER = 4096  # points whose offsets are dense at a time
+_TOGETHER = 1024  # points whose offsets are dense at a time
 _WEIGHT = 15.0  # of an error in motion against one in form: with more, low levels lose their form
 
 
@@ -494,12 +494,17 @@ def _motion_of(rig: Rig, most: int) -> FloatArray:
     joints, count = sparse.csr_array(weights @ sparse.diags_array(_TURN * distances)), 3 * len(rig.targets)
     gram = np.zeros((count + len(rig.joints),) * 2)
     with one_thread():
-        # dense, some points at a time: sparse products of rows of a hundred numbers each took five times as long
+        # dense, some points and the targets that move them at a time: sparse products of rows of a hundred numbers each
+        # took five times as long
         for start in range(0, len(rig.points), _TOGETHER):
             end = min(start + _TOGETHER, len(rig.points))
-            offsets = rig.deltas[3 * start : 3 * end].toarray().reshape(end - start, count)
+            moved = rig.deltas[3 * start : 3 * end]
+            moving = np.flatnonzero(np.bincount(moved.indices, minlength=len(rig.targets)))
+            offsets = moved[:, moving].toarray().reshape(end - start, 3 * len(moving))
             rows = np.hstack([offsets, joints[start:end].toarray()])
-            gram += rows.T @ rows
+            columns = [*(axis * len(rig.targets) + moving for axis in range(3)), np.arange(count, len(gram))]
+            own = np.concatenate(columns)
+            gram[np.ix_(own, own)] += rows.T @ rows
         values, vectors = np.linalg.eigh(gram)
     vectors = vectors[:, np.argsort(-values, kind="stable")[:most]]
     moved = joints @ vectors[count:]

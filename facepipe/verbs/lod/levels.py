@@ -87,6 +87,7 @@ class FullFace:
         rig = self._rig
         matrices = rig.skinning_matrices(rig.rest)
         blended = rig.blended(matrices)
+        linear = np.ascontiguousarray(blended[:, :, :3].transpose(1, 2, 0))
         rest = [transformed_each(points, blended) for _, points in levels]
         places = [
             _places(self._rest, at, self._graph, one, self._used) for at, (one, _) in zip(rest, levels, strict=True)
@@ -96,7 +97,8 @@ class FullFace:
             offsets = rig.offsets(rig.weight_vector({name: 1.0}))
             changed = np.flatnonzero((offsets != 0) @ np.ones(3, bool))
             # a shape adds the same at both places, so no level is posed for it; a joint's turn does not
-            away = np.einsum("nij,nj->in", blended[changed, :, :3], offsets[changed])
+            x, y, z = offsets.take(changed, axis=0).T
+            away = np.stack([x * a.take(changed) + y * b.take(changed) + z * c.take(changed) for a, b, c in linear])
             for number, (rows, mm) in enumerate(self._off(places, changed, away, [away] * len(levels))):
                 shapes[number][name] = _distances(mm)
                 skin[number][name] = _distances(mm[self._skin[rows]])
@@ -115,7 +117,7 @@ class FullFace:
         measured = []
         for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
             # pieces that are gone, cards apart: those are far from what is left by intent
-            away = self._by_mesh(np.setdiff1d(self._used[~self._card[self._used]], placed.rows))
+            gone = self._by_mesh(np.setdiff1d(self._used[~self._card[self._used]], placed.rows))
             measured.append(
                 LevelErrors(
                     rest=_distances(_lengths(placed.off) * self._mm),
@@ -123,7 +125,7 @@ class FullFace:
                     skin_shapes=skin[number],
                     joints=joints[number],
                     cards=self._cards(placed, at, levels[number][0]),
-                    lost={self._rig.mesh_names[mesh]: len(points) for mesh, points in away.items()},
+                    lost={self._rig.mesh_names[mesh]: len(points) for mesh, points in gone.items()},
                 )
             )
         return measured
