@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.vectors import unit_vectors
 from facepipe.parts import KeyLamp, PhotoView
 from facepipe.pictures.occlusion import Sky, depth_map, visible_sky
 
@@ -367,28 +369,27 @@ class PhotoLight:
 
     def ambient(self, normals: FloatArray, hidden: FloatArray) -> FloatArray:
         """(m, 3) that of the harmonics alone."""
-        return np.asarray(np.maximum((harmonics(normals) + hidden) @ self.view.light, 0.0))
+        return np.asarray(np.maximum((harmonics(normals) + hidden) @ self.view.light.astype(normals.dtype), 0.0))
 
     def lamp(self, normals: FloatArray) -> FloatArray:
         """(m, 3) that of the lamp alone, where nothing hides it."""
         if self.view.key is None:
-            return np.zeros((len(normals), 3))
-        cosine = np.maximum(normals @ _towards(self.view.key), 0.0)
-        return np.asarray(cosine[:, None] * np.array(self.view.key.color))
+            return np.zeros((len(normals), 3), normals.dtype)
+        cosine = np.maximum(normals @ _towards(self.view.key).astype(normals.dtype), 0.0)
+        return np.asarray(cosine[:, None] * np.array(self.view.key.color, normals.dtype))
 
     def mirrored(self, normals: FloatArray, towards_eye: FloatArray, arriving: FloatArray) -> FloatArray:
         """(m, 3) linear light of the lamp's highlight: normalised Blinn-Phong with Schlick's Fresnel term."""
         key = self.view.key
         if key is None:
-            return np.zeros((len(normals), 3))
-        towards = _towards(key)
-        half = towards_eye + towards
-        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        grazing = 1 - np.clip((towards_eye * half).sum(axis=1), 0, 1)
+            return np.zeros((len(normals), 3), normals.dtype)
+        towards = _towards(key).astype(normals.dtype)
+        half = unit_vectors(towards_eye + towards)
+        grazing = 1 - np.clip(_dot(towards_eye, half), 0, 1)
         fresnel = _FACING + (1 - _FACING) * grazing**5
-        lobe = (key.exponent + 2) / 8 * np.maximum((normals * half).sum(axis=1), 1e-4) ** key.exponent
+        lobe = (key.exponent + 2) / 8 * np.maximum(_dot(normals, half), 1e-4) ** key.exponent
         matt = np.maximum(normals @ towards, 0.0) * arriving
-        return np.asarray((key.shine * fresnel * lobe * matt)[:, None] * np.array(key.color))
+        return np.asarray((key.shine * fresnel * lobe * matt)[:, None] * np.array(key.color, normals.dtype))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -440,7 +441,7 @@ def returned(hidden: FloatArray) -> FloatArray:
 
     In a crease whose walls have albedo a, light is 1 / (1 - a share) times what arrives: the series of bounces.
     """
-    return np.asarray(_RETURNED * np.clip(-hidden[:, :1] / np.sqrt(1 / (4 * np.pi)), 0.0, 1.0))
+    return np.asarray(_RETURNED * np.clip(-hidden[:, :1] / math.sqrt(1 / (4 * math.pi)), 0.0, 1.0))
 
 
 def _towards(key: KeyLamp) -> FloatArray:
@@ -454,7 +455,7 @@ def harmonics(normals: FloatArray) -> FloatArray:
     Source: Ramamoorthi and Hanrahan, An efficient representation for irradiance environment maps (2001).
     """
     x, y, z = np.moveaxis(np.asarray(normals), -1, 0)
-    zeroth, first, second = np.sqrt(1 / (4 * np.pi)), np.sqrt(3 / (4 * np.pi)), np.sqrt(15 / (4 * np.pi))
+    zeroth, first, second = (math.sqrt(square / (4 * math.pi)) for square in (1, 3, 15))
     rows = [
         np.full_like(x, zeroth),
         first * y,
@@ -462,7 +463,7 @@ def harmonics(normals: FloatArray) -> FloatArray:
         first * x,
         second * x * y,
         second * y * z,
-        second / np.sqrt(12) * (3 * z * z - 1),
+        second / math.sqrt(12) * (3 * z * z - 1),
         second * z * x,
         second / 2 * (x * x - y * y),
     ]

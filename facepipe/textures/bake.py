@@ -162,7 +162,7 @@ class Baker:
         self.skin = skin
         self.templates = [template_texels(texture) for texture in skin.textures]
         self.flats = [
-            np.maximum(template.reshape(-1, 3)[texture.texels.at], DARKEST)
+            np.maximum(np.take(template.reshape(-1, 3), texture.texels.at, axis=0), DARKEST)
             for template, texture in zip(self.templates, skin.textures, strict=True)
         ]
         sums = np.zeros((len(skin.points), 4))
@@ -194,7 +194,7 @@ class Baker:
         for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
             ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
             ratio[one.place] += one.trust[:, None] * (one.ratio - part.carried(colors))
-            pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)))
+            pictures.append(spread(texture.texels, to_srgb(np.exp(ratio) * flat)))
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
         return Baked(
@@ -226,8 +226,8 @@ class Baker:
         observed = [self.evened(number, one, light, kept) for number, one in enumerate(observed)]
         lessened = []
         for texture, one in zip(skin.textures, observed, strict=True):
-            ratio = one.ratio - around.too_much(texture.texels.taken(one.place), one.ratio) - np.log(scale)
-            lessened.append(replace(one, ratio=ratio.astype(np.float32)))
+            ratio = one.ratio - around.too_much(texture.texels.taken(one.place), one.ratio)
+            lessened.append(replace(one, ratio=ratio - np.log(scale).astype(np.float32)))
         colors, trust = self.at_points(lessened)
         white = photo.white * np.exp(raw - colors)
         harmonics = renewed(photo, white, trust * skin.areas, scale)

@@ -221,7 +221,7 @@ class Relief:
 
     def too_much(self, texels: Texels, colors: FloatArray) -> FloatArray:
         """(m, 3) what of colours (m, 3) of texels is an expression's folds, and hues that skin has not."""
-        bright = (colors @ GREY)[:, None]
+        bright = (colors @ GREY.astype(np.float32))[:, None]
         hue = colors - bright - texels.carried(self.hue)
         dark = np.minimum(bright - texels.carried(self.level) + _FOLD, 0) * texels.carried(self.folds)
         strange = hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE)

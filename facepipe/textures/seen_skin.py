@@ -50,13 +50,14 @@ class SeenSkin:
         :param facing: (m,) cosine between its normal and the direction to the viewer
         """
         height, width = self.depth.shape
-        column, row = np.clip(pixels, 0, [width - 1, height - 1]).astype(np.int64).T
-        seen = depth <= self.depth[row, column] + _SLACK * self.eye_distance
-        border = np.minimum(pixels, np.array([width, height]) - pixels).min(axis=1)
+        x, y = pixels.T
+        at = np.clip(y, 0, height - 1).astype(np.int32) * width + np.clip(x, 0, width - 1).astype(np.int32)
+        seen = depth <= self.depth.ravel()[at] + _SLACK * self.eye_distance
+        border = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
         eyes = self.eye_distance * self.view.focal / np.maximum(depth, 1e-9)  # in pixels
-        trust = seen * step(border / _FRAME, 0, 1) * step(facing, *_FACING) * step(self.mask.face[row, column], *_FACE)
+        trust = seen * step(border / _FRAME, 0, 1) * step(facing, *_FACING) * step(self.mask.face.ravel()[at], *_FACE)
         for distance, limits in ((self.outline, _OUTLINE), (self.crease, _CREASE), (self.opening, _OPENING)):
-            trust = trust * step(distance[row, column] / eyes, *limits)
+            trust = trust * step(distance.ravel()[at] / eyes, *limits)
         return np.asarray(trust)
 
 
@@ -74,8 +75,9 @@ def to_camera(view: PhotoView, points: FloatArray) -> FloatArray:
 
 def to_pixels(view: PhotoView, local: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n, 2) pixels of camera coordinates (n, 3), and depths (n,)."""
-    depth = np.maximum(-local[:, 2], 1e-9)
-    return np.asarray(view.center + view.focal * local[:, :2] * [1.0, -1.0] / depth[:, None]), np.asarray(-local[:, 2])
+    scale = view.focal / np.maximum(-local[:, 2], 1e-9)
+    x, y = view.center[0] + scale * local[:, 0], view.center[1] - scale * local[:, 1]
+    return np.stack([x, y], axis=1), np.asarray(-local[:, 2])
 
 
 def seen_skin(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: FloatArray) -> SeenSkin:
@@ -202,7 +204,7 @@ def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: Flo
 
 
 def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArray) -> Observed:
-    """What a photo shows of one of the skin's textures.
+    """What a photo shows of one of the skin's textures, in float32: its pixels have 256 levels.
 
     :param template: (m, 3) linear colours of the texture's texels
     """
@@ -211,35 +213,33 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     beside = np.zeros(len(marked), bool)
     for one, other in (skin.edges.T, skin.edges.T[::-1]):
         beside[one[marked[other]]] = True
-    place = np.flatnonzero((marked | beside)[texels.corners].any(axis=1))
+    first, second, third = (np.take(marked | beside, corner) for corner in texels.corners.T)
+    place = np.flatnonzero(first | second | third)
     part = texels.taken(place)
     local = part.carried(photo.points)
     normals = unit_vectors(part.carried(photo.normals))
     towards_eye = unit_vectors(-local)
     pixels, depth = to_pixels(photo.view, local)
-    trust = photo.seen.confidence(pixels, depth, (normals * towards_eye).sum(axis=1))
+    trust = photo.seen.confidence(pixels, depth, np.einsum("mc,mc->m", normals, towards_eye))
     trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
     kept = np.flatnonzero(trust > 0)
-    place, part, normals, towards_eye, pixels, trust = (
-        place[kept],
+    part, (place, normals, towards_eye, pixels, trust) = (
         part.taken(kept),
-        normals[kept],
-        towards_eye[kept],
-        pixels[kept],
-        trust[kept],
+        (np.take(each, kept, axis=0) for each in (place, normals, towards_eye, pixels, trust)),
     )
     following = np.flatnonzero(np.diff(part.at) == 1)  # texels side by side, and pixels of the photo between them
-    apart = np.linalg.norm(pixels[following + 1] - pixels[following], axis=1)
+    apart = np.hypot(*(pixels[following + 1] - pixels[following]).T)
     shown = sampled(photo.pixels, pixels, float(np.median(apart)) if len(apart) else 1.0)
     hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
     white = photo.light.white(normals, hidden, arriving)
     linear = from_srgb(np.clip(shown, 0, 1))
     glint = np.minimum(photo.light.mirrored(normals, towards_eye, arriving), 0.4 * linear)
     bright = float(np.quantile(photo.white[photo.trust > 0] @ GREY, 0.8))
-    trust = trust * step(white @ GREY / bright, *_DIM) * (1 - step(shown.max(axis=1), *_BLOWN) * 0.9)
+    most = np.maximum(np.maximum(shown[:, 0], shown[:, 1]), shown[:, 2])
+    trust = trust * step(white @ GREY.astype(np.float32) / bright, *_DIM) * (1 - step(most, *_BLOWN) * 0.9)
     floor = np.maximum(white, _DIM[0] * bright)
     matt = np.maximum(linear - glint, DARKEST) / floor
-    ratio = np.log(matt / (1 + returned(hidden) * matt)) - np.log(template[place])
+    ratio = np.log(matt / (1 + returned(hidden) * matt)) - np.log(np.take(template, place, axis=0))
     return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust.astype(np.float32))
 
 

@@ -150,9 +150,13 @@ def template_texels(texture: SkinTexture) -> Float32Array:
     source, size = texture.source, texture.texels.size
     picture = open_image(source.texture.image(), f"texture {source.texture.name}").convert("RGB")
     picture = picture.resize((size, size), Image.Resampling.BICUBIC)
-    linear = from_srgb(np.asarray(picture, np.float32) / np.float32(255))
-    shown = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1)
-    return np.asarray(shown, np.float32)
+    # a table of 256 levels a channel, not millions of powers
+    linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255))
+    table = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1).astype(np.float32)
+    shown = np.empty((size, size, 3), np.float32)
+    for channel, levels in enumerate(np.moveaxis(np.asarray(picture), 2, 0)):
+        shown[..., channel] = np.take(table[:, channel], levels)
+    return shown
 
 
 def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTexture, ...]:

