@@ -117,8 +117,8 @@ def figures(
         assert isinstance(source, TextureInput)
         seen = texture.texels.carried(baked.trust[:, None])[:, 0] > 0.5
         at = texture.texels.at[seen]
-        truth = to_srgb(template_texels(replace(texture, source=source))).reshape(-1, 3)[at]
-        off.append(picture_.reshape(-1, 3)[at] - truth)
+        truth = to_srgb(template_texels(replace(texture, source=source)))[seen]
+        off.append(picture_.reshape(-1, 3)[at] / 255 - truth)
         before.append(to_srgb(flat[seen]) - truth)
     errors = np.concatenate(off)
     return {

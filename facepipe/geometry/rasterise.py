@@ -195,12 +195,11 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
     determinant = (planes[0] * np.stack(corners[0])).sum(axis=0)
     scale = np.abs(planes).max(axis=(0, 1)) * np.where(determinant < 0, -1.0, 1.0)
     planes /= np.where(scale == 0, 1.0, scale)
-    over_depth = np.stack([a.take(which) * x + b.take(which) * y + c.take(which) for a, b, c in planes], axis=1)
-    over_depth = np.maximum(over_depth, 0.0)
-    total = over_depth.sum(axis=1, keepdims=True)
-    thin = total[:, 0] <= 0
-    over_depth[thin], total[thin] = 1.0, 3.0
-    return np.asarray(over_depth / total)
+    over_depth = np.stack([np.maximum(a.take(which) * x + b.take(which) * y + c.take(which), 0.0) for a, b, c in planes])
+    total = over_depth[0] + over_depth[1] + over_depth[2]
+    thin = total <= 0
+    over_depth[:, thin], total[thin] = 1.0, 3.0
+    return np.ascontiguousarray((over_depth / total).T)
 
 
 def interpolated(corners: Sequence[FloatArray], weights: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 
+_RUN = 1 << 16  # texels whose colours fit into a processor's cache: whole textures take twice as long
 _ZERO_WEIGHT = 1e-12  # weight of an offset of 0, which surfaces without anything known have
 
 
@@ -33,7 +34,21 @@ class Texels:
 
     def summed(self, values: FloatArray, count: int) -> FloatArray:
         """(count, c) sums over texels of values (m, c), shared out to points by barycentrics: `carried`, transposed."""
-        return np.asarray(self._shares(count).T @ np.asarray(values, np.float64))
+        sums = np.zeros((count, values.shape[1]))
+        for run, part in self.runs():
+            sums += part._shares(count).T @ np.asarray(values[run], np.float64)
+        return sums
+
+    def runs(self) -> Iterator[tuple[slice, Texels]]:
+        """Texels one after another, with where they are among all."""
+        for start in range(0, len(self.at), _RUN):
+            run = slice(start, start + _RUN)
+            yield run, Texels(size=self.size, at=self.at[run], corners=self.corners[run], weights=self.weights[run])
+
+    def by_runs(self, rows: Callable[..., FloatArray], *columns: FloatArray) -> Float32Array:
+        """(m, c) the rows that a function makes of a run of texels and of what `columns` (m, ...) have there."""
+        made = [np.asarray(rows(part, *(each[run] for each in columns)), np.float32) for run, part in self.runs()]
+        return np.concatenate(made or [np.asarray(rows(self, *columns), np.float32)])
 
     def _shares(self, count: int) -> Any:
         """(m, count) scipy's sparse matrix of the barycentrics: a product with it takes a sixth of three gathers."""
@@ -65,10 +80,14 @@ def texels_of(uv_corners: FloatArray, triangles: IntArray, size: int) -> Texels:
     screen = np.column_stack([flat[:, 0] * size, (1.0 - flat[:, 1]) * size, np.ones(len(flat)), np.ones(len(flat))])
     numbers = np.arange(len(flat)).reshape(-1, 3)
     raster = rasterise(screen_triangles(screen, numbers), size, size)
-    row, column = np.nonzero(raster.key)
-    ids = raster.triangle[row, column]
-    weights = barycentrics(screen, numbers, ids, column + 0.5, row + 0.5)
-    return Texels(size=size, at=row * size + column, corners=triangles.astype(np.int32)[ids], weights=weights.astype(np.float32))
+    at = np.flatnonzero(raster.key != 0)
+    ids = np.take(raster.triangle.ravel(), at)
+    weights = np.empty((len(at), 3), np.float32)
+    for start in range(0, len(at), _RUN):
+        run = slice(start, start + _RUN)
+        row, column = np.divmod(at[run], size)
+        weights[run] = barycentrics(screen, numbers, ids[run], column + 0.5, row + 0.5)
+    return Texels(size=size, at=at, corners=np.take(triangles.astype(np.int32), ids, axis=0), weights=weights)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
-from facepipe.core.arrays import Float32Array, FloatArray
+from facepipe.core.arrays import ByteArray, Float32Array, FloatArray
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.texels import Texels, spread
 from facepipe.textures.evened import (
@@ -133,7 +133,7 @@ def _flow(first: _Level, other: _Level, texel: float) -> FloatArray:
 class Baked:
     """Textures of the skin."""
 
-    pictures: tuple[FloatArray, ...]  # of each (size, size, 3) sRGB 0..1
+    pictures: tuple[ByteArray, ...]  # of each (size, size, 3) sRGB
     scales: tuple[FloatArray, ...]  # (3,) of each photo's light
     lights: tuple[FloatArray, ...]  # (9, 3) harmonics of each photo under which the textures look as it does
     shares: tuple[float, ...]  # of the face that each photo shows
@@ -160,14 +160,12 @@ class Baker:
 
     def __init__(self, skin: SkinSurface) -> None:
         self.skin = skin
-        self.templates = [template_texels(texture) for texture in skin.textures]
-        self.flats = [
-            np.maximum(np.take(template.reshape(-1, 3), texture.texels.at, axis=0), DARKEST)
-            for template, texture in zip(self.templates, skin.textures, strict=True)
-        ]
+        self.flats = [np.maximum(template_texels(texture), DARKEST) for texture in skin.textures]
         sums = np.zeros((len(skin.points), 4))
         for texture, flat in zip(skin.textures, self.flats, strict=True):
-            sums += texture.texels.summed(np.column_stack([np.log(flat), np.ones(len(flat))]), len(skin.points))
+            columns = np.ones((len(flat), 4), np.float32)
+            np.log(flat, out=columns[:, :3])
+            sums += texture.texels.summed(columns, len(skin.points))
         self.lids = upper_lids(skin)
         self.totals = sums[:, 3]
         self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
@@ -192,9 +190,14 @@ class Baker:
         colors, trust = self.at_points(merged)
         whole, pictures = self.completed(colors, trust, paint), []
         for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
-            ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
-            ratio[one.place] += one.trust[:, None] * (one.ratio - part.carried(colors))
-            pictures.append(spread(texture.texels, to_srgb(np.exp(ratio) * flat)))
+            levels = np.empty(flat.shape, np.uint8)
+            for run, part in texture.texels.runs():
+                ratio = part.carried(whole)
+                seen = slice(*np.searchsorted(one.place, (run.start, run.stop)))
+                place = one.place[seen] - run.start
+                ratio[place] += one.trust[seen, None] * (one.ratio[seen] - part.taken(place).carried(colors))
+                levels[run] = to_srgb(np.exp(ratio) * flat[run]) * 255 + 0.5
+            pictures.append(spread(texture.texels, levels))
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
         return Baked(
@@ -247,7 +250,7 @@ class Baker:
         part = self.skin.textures[number].texels.taken(one.place)
         trust = one.trust * part.carried(mask[:, None])[:, 0]
         kept = np.flatnonzero(trust > 0)
-        ratio = (one.ratio - part.carried(light))[kept]
+        ratio = np.take(one.ratio - part.carried(light), kept, axis=0)
         return Observed(place=one.place[kept], ratio=ratio, trust=trust[kept])
 
     def _alike(self, layers: Sequence[_Layer]) -> list[_Layer]:

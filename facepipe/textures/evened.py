@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.geometry.polygons import components
 from facepipe.geometry.texels import Texels
 from facepipe.heads.people import Look
@@ -221,17 +221,24 @@ class Relief:
 
     def too_much(self, texels: Texels, colors: FloatArray) -> FloatArray:
         """(m, 3) what of colours (m, 3) of texels is an expression's folds, and hues that skin has not."""
-        bright = (colors @ GREY.astype(np.float32))[:, None]
-        hue = colors - bright - texels.carried(self.hue)
-        dark = np.minimum(bright - texels.carried(self.level) + _FOLD, 0) * texels.carried(self.folds)
-        strange = hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE)
-        return np.asarray(texels.carried(self.plain) * (_FLATTER * dark + strange), np.float32)
+        grey, points = GREY.astype(np.float32), np.column_stack([self.level, self.folds, self.plain, self.hue])
+
+        def of(part: Texels, colors: Float32Array) -> FloatArray:
+            around = part.carried(points)
+            level, folds, plain = (around[:, number : number + 1] for number in range(3))
+            bright = (colors @ grey)[:, None]
+            hue = colors - bright - around[:, 3:]
+            dark = np.minimum(bright - level + _FOLD, 0) * folds
+            return plain * (_FLATTER * dark + hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE))
+
+        return texels.by_runs(of, colors)
 
 
 def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> Relief:
     """Folds where an expression strains the skin, and strange hues, by colours (n, 3)."""
     level = (colors @ GREY)[:, None]
-    around, hue = skin.smooth(level, trust, _LOCAL), skin.smooth(colors - level, trust, _LOCAL)
+    smooth = skin.smooth(np.column_stack([level, colors - level]), trust, _LOCAL)
+    around, hue = smooth[:, :1], smooth[:, 1:]
     points = photo.points
     # (n,) mean size of the logarithm of how edges stretch from the neutral to points (n, 3)
     ends = skin.edges.T

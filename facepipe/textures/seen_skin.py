@@ -11,6 +11,7 @@ from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import rasterise, screen_triangles
+from facepipe.geometry.texels import Texels
 from facepipe.geometry.vectors import unit_vectors
 from facepipe.networks.files import FaceMask, face_mask
 from facepipe.parts import PhotoView
@@ -208,39 +209,47 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
 
     :param template: (m, 3) linear colours of the texture's texels
     """
-    texels = skin.textures[number].texels
+    texels, grey = skin.textures[number].texels, GREY.astype(np.float32)
     marked = photo.trust > 0
     beside = np.zeros(len(marked), bool)
     for one, other in (skin.edges.T, skin.edges.T[::-1]):
         beside[one[marked[other]]] = True
+
+    def where(part: Texels) -> FloatArray:
+        """(k, 3) pixels, and the trust in what they show by geometry."""
+        local = part.carried(photo.points)
+        pixels, depth = to_pixels(photo.view, local)
+        facing = np.einsum("mc,mc->m", unit_vectors(part.carried(photo.normals)), unit_vectors(-local))
+        trust = photo.seen.confidence(pixels, depth, facing)
+        trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
+        return np.column_stack([pixels, trust])
+
     first, second, third = (np.take(marked | beside, corner) for corner in texels.corners.T)
     place = np.flatnonzero(first | second | third)
     part = texels.taken(place)
-    local = part.carried(photo.points)
-    normals = unit_vectors(part.carried(photo.normals))
-    towards_eye = unit_vectors(-local)
-    pixels, depth = to_pixels(photo.view, local)
-    trust = photo.seen.confidence(pixels, depth, np.einsum("mc,mc->m", normals, towards_eye))
-    trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
-    kept = np.flatnonzero(trust > 0)
-    part, (place, normals, towards_eye, pixels, trust) = (
-        part.taken(kept),
-        (np.take(each, kept, axis=0) for each in (place, normals, towards_eye, pixels, trust)),
-    )
+    there = part.by_runs(where)
+    kept = np.flatnonzero(there[:, 2] > 0)
+    place, part, there = place[kept], part.taken(kept), np.take(there, kept, axis=0)
+    pixels = there[:, :2]
     following = np.flatnonzero(np.diff(part.at) == 1)  # texels side by side, and pixels of the photo between them
     apart = np.hypot(*(pixels[following + 1] - pixels[following]).T)
     shown = sampled(photo.pixels, pixels, float(np.median(apart)) if len(apart) else 1.0)
-    hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
-    white = photo.light.white(normals, hidden, arriving)
-    linear = from_srgb(np.clip(shown, 0, 1))
-    glint = np.minimum(photo.light.mirrored(normals, towards_eye, arriving), 0.4 * linear)
-    bright = float(np.quantile(photo.white[photo.trust > 0] @ GREY, 0.8))
-    most = np.maximum(np.maximum(shown[:, 0], shown[:, 1]), shown[:, 2])
-    trust = trust * step(white @ GREY.astype(np.float32) / bright, *_DIM) * (1 - step(most, *_BLOWN) * 0.9)
-    floor = np.maximum(white, _DIM[0] * bright)
-    matt = np.maximum(linear - glint, DARKEST) / floor
-    ratio = np.log(matt / (1 + returned(hidden) * matt)) - np.log(np.take(template, place, axis=0))
-    return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust.astype(np.float32))
+    bright = float(np.quantile(photo.white[marked] @ GREY, 0.8)) if marked.any() else 1.0
+
+    def unlit(part: Texels, shown: Float32Array, trust: Float32Array, own: Float32Array) -> FloatArray:
+        """(k, 4) ratios to colours of the template's, and the trust in them."""
+        normals = unit_vectors(part.carried(photo.normals))
+        hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
+        white = photo.light.white(normals, hidden, arriving)
+        linear = from_srgb(np.clip(shown, 0, 1))
+        mirrored = photo.light.mirrored(normals, unit_vectors(-part.carried(photo.points)), arriving)
+        most = np.maximum(np.maximum(shown[:, 0], shown[:, 1]), shown[:, 2])
+        trust = trust * step(white @ grey / bright, *_DIM) * (1 - step(most, *_BLOWN) * 0.9)
+        matt = np.maximum(linear - np.minimum(mirrored, 0.4 * linear), DARKEST) / np.maximum(white, _DIM[0] * bright)
+        return np.column_stack([np.log(matt / (1 + returned(hidden) * matt)) - np.log(own), trust])
+
+    found = part.by_runs(unlit, shown, there[:, 2], np.take(template, place, axis=0))
+    return Observed(place=place, ratio=found[:, :3], trust=found[:, 3])
 
 
 def sampled(pixels: Float32Array, places: FloatArray, spacing: float) -> Float32Array:

@@ -144,7 +144,7 @@ def of_faces(mesh: Mesh) -> IntArray:
 
 
 def template_texels(texture: SkinTexture) -> Float32Array:
-    """(size, size, 3) linear colours of a texture as its material shows it."""
+    """(m, 3) linear colours of a texture's texels as its material shows them."""
     from PIL import Image
 
     source, size = texture.source, texture.texels.size
@@ -153,10 +153,8 @@ def template_texels(texture: SkinTexture) -> Float32Array:
     # a table of 256 levels a channel, not millions of powers
     linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255))
     table = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1).astype(np.float32)
-    shown = np.empty((size, size, 3), np.float32)
-    for channel, levels in enumerate(np.moveaxis(np.asarray(picture), 2, 0)):
-        shown[..., channel] = np.take(table[:, channel], levels)
-    return shown
+    levels = np.take(np.asarray(picture).reshape(-1, 3), texture.texels.at, axis=0)
+    return np.stack([np.take(table[:, channel], levels[:, channel]) for channel in range(3)], axis=1)
 
 
 def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTexture, ...]:

@@ -21,7 +21,7 @@ from facepipe.core.errors import TopologyError
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
-from facepipe.geometry.texels import Texels
+from facepipe.geometry.texels import Texels, spread
 from facepipe.heads.assembly import make
 from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.importers.scan_file import read_scan
@@ -145,7 +145,8 @@ def test_a_textured_scan_gives_the_skin_its_own_colours(actor: Actor) -> None:
 
 
 def pictures_of(skin: SkinSurface) -> list[FloatArray]:
-    return [np.asarray(to_srgb(template), np.float32) for template in Baker(skin).templates]
+    shown = zip(skin.textures, Baker(skin).flats, strict=True)
+    return [np.asarray(to_srgb(spread(texture.texels, flat)), np.float32) for texture, flat in shown]
 
 
 def test_colours_at_points_do_where_there_is_no_texture(actor: Actor) -> None:

@@ -162,7 +162,7 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray
     :param first: point of the eye among those of all meshes
     :param light: (3,) there; None: that of each point
     """
-    texels, template = texture.texels, template_texels(texture).reshape(-1, 3)[texture.texels.at]
+    texels, template = texture.texels, template_texels(texture)
     span = slice(first, first + int(texels.corners.max()) + 1)
     places, depth = to_pixels(photo.view, texels.carried(photo.all_points[span]))
     across = np.ptp(places, axis=0).max()
@@ -306,8 +306,7 @@ def author_textures(
                 view = replace(view, key=replace(view.key, color=(red, green, blue)))
         relit.append(view)
     author_changes(face, replace(parts, photos=tuple(relit), recipe=recipe))
-    levels = [(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8) for picture in baked.pictures]
-    pictures = [(one, one.materials, _png(level)) for one, level in zip(skin.textures, levels, strict=True)]
+    pictures = [(one, one.materials, _png(level)) for one, level in zip(skin.textures, baked.pictures, strict=True)]
     pictures += eye_pictures(parts, exposures, baked.scales)
     files = {}
     for texture, materials, picture in pictures:
