@@ -23,6 +23,7 @@ from facepipe.networks.files import (
     own_landmark_session,
 )
 from facepipe.rig.torch import torch
+from facepipe.rig.torch.one_thread import one_thread
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _MOST_PIXELS = 700  # of the shorter side of the photo as it is searched
@@ -98,6 +99,7 @@ def _checked(image: FloatArray) -> FloatArray:
     return pixels
 
 
+@one_thread()  # of pictures so small, other threads wait for work, which keeps their cores busy
 def _faces(
     network: LandmarkSession, pixels: FloatArray, quarters: int, *, closer: bool, near: FloatArray | None = None
 ) -> list[FoundFace]:

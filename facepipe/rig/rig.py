@@ -9,7 +9,7 @@ before the rigid motion, as UsdSkel has it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unknown
+from facepipe.geometry.rasterise import expand
 from facepipe.geometry.vectors import transformed, transformed_each
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.bone_coefficients import coefficient_matrices
@@ -103,6 +104,30 @@ class Rig:
     parent_world: FloatArray  # (4, 4) skeleton space -> world, what roots hang under by default
     influences: sparse.csr_array  # (n, j + 1) weights
     dual: BoolArray | None = None  # (n,) points skinned by dual quaternions, others linearly; None: none
+
+    def part(self, points: IntArray) -> Rig:
+        """The rig of some of the points only, as one mesh, each as often as it is named."""
+        order = np.argsort(points, kind="stable")
+        first, after = (np.searchsorted(points[order], np.arange(len(self.points)), side) for side in ("left", "right"))
+        targets, moved = list[Target](), np.zeros(0, np.int64)
+        row = places = moved
+        for target in self.targets:
+            if not np.array_equal(target.point_indices, moved):  # many move the same points, as identity modes do
+                moved = target.point_indices
+                row, step = expand(after[moved] - first[moved])
+                places = order[first[moved][row] + step]
+                sorting = np.argsort(places, kind="stable")
+                row, places = row[sorting], places[sorting]
+            targets.append(replace(target, point_indices=places, offsets=np.take(target.offsets, row, axis=0)))
+        return replace(
+            self,
+            points=self.points[points],
+            targets=tuple(targets),
+            influences=self.influences[points],
+            dual=None if self.dual is None else self.dual[points],
+            mesh_names=("part",),
+            mesh_offsets=np.array([0, len(points)]),
+        )
 
     @cached_property
     def deltas(self) -> sparse.csr_array:

@@ -12,7 +12,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.neural_rig import NeuralRig, share_limits
 from facepipe.rig.torch.one_thread import one_thread
-from facepipe.rig.torch.rig import DifferentiableRig
+from facepipe.rig.torch.rig import DifferentiableRig, under
 
 LAST_RATE = 0.01  # of the first
 
@@ -86,7 +86,7 @@ class _Distance:
             frames = len(outputs)
             morphed = self._rest + (outputs[:, :number] @ self._shapes).reshape(frames, -1, 3)
             flat = self._coefficients.expand(frames, -1).index_add(1, self._channels, outputs[:, number:])
-            found = skin.skin(morphed, skin.skinning_matrices(flat.reshape(frames, -1, 9)))
+            found = under(skin.blended(skin.skinning_matrices(flat.reshape(frames, -1, 9))), morphed)
         return (found - self._targets).square().sum() / self._count
 
 

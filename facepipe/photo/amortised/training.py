@@ -48,7 +48,7 @@ from facepipe.photo.descent.descent import Unknowns
 from facepipe.photo.descent.fit import pose_space, priors_of
 from facepipe.photo.descent.joint_loss import JointLoss, single
 from facepipe.photo.descent.landmark_fit import LandmarkFit
-from facepipe.photo.descent.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points, part_of
+from facepipe.photo.descent.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points
 from facepipe.photo.descent.lighting import SeenSurface, relight
 from facepipe.photo.descent.shadows import Shadows, shadows_of_lamp
 from facepipe.photo.descent.subject import Subject
@@ -103,7 +103,7 @@ class TaughtLoss:
         front = np.flatnonzero(z > z[marks[CONTOUR]].mean())
         chosen = np.unique(np.concatenate([marks, front[:: max(1, len(front) // _POINTS)]]))
         parts = subject.parts
-        self._rig = DifferentiableRig(part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network)
+        self._rig = DifferentiableRig(subject.rig.part(chosen), parts.sliders, network=parts.slider_network)
         space = replace(pose_space(subject, SIZE, SIZE), side=float(SIZE))
         self._crop = CropSpace(space=space, crop=np.eye(2, 3), side=SIZE, up_axis=parts.up_axis)
         self._lower, self._reach = (

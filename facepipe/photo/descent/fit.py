@@ -309,7 +309,8 @@ def fit_photos(
         WorkingPhoto.from_photo(photo, marks[:COUNT], options.size, mask and mask(photo, marks[:COUNT]))
         for photo, marks in zip(upright.photos, upright.landmarks, strict=True)
     ]
-    loss = JointLoss(FaceModel(parts, largest_texture=options.size), fit, working, networks, options)
+    model = FaceModel(parts, rig=subject.rig, drawn_only=True, largest_texture=options.size)
+    loss = JointLoss(model, fit, working, networks, options)
     begin = _better_begin(loss, state, start)
     found = fit_result(loss, descend(loss, begin, options, done, renew=partial(renew_shadows, loss)))
     return replace(found, views=upright.turned_back(found.views))

@@ -7,7 +7,8 @@ row of points that it lies in (after Zhu et al., "High-Fidelity Pose and Express
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -15,7 +16,6 @@ from torch import Tensor
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.rasterise import expand
 from facepipe.parts import FaceParts
 from facepipe.photo.descent.subject import Subject
 from facepipe.photo.renderer.camera import Camera
@@ -54,7 +54,7 @@ class LandmarkRig:
             np.concatenate([[k], np.arange(first[k], first[k + 1])]).astype(np.int64) for k in range(CONTOUR.stop)
         )
         rig = DifferentiableRig(
-            part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
+            subject.rig.part(chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
         )
         return cls(rig=rig, rows=numbers, dense=slice(int(first[-1]), int(first[-1]) + len(more)))
 
@@ -65,13 +65,18 @@ class LandmarkRig:
         screen = camera.project(points)[..., :2]
         labelled = screen[..., :COUNT, :]
         outward = contour_normals(labelled[..., CONTOUR, :].detach())
-        contour = []
-        for number, row in enumerate(self.rows):
-            places = screen[..., torch.as_tensor(row), :]
-            reach = (places.detach() * outward[..., number, None, :]).sum(dim=-1)
-            chosen = reach.argmax(dim=-1)[..., None, None].expand(*reach.shape[:-1], 1, 2)
-            contour.append(places.gather(-2, chosen))
-        return torch.cat([*contour, labelled[..., CONTOUR.stop :, :], screen[..., self.dense, :]], dim=-2), outward
+        places = screen.detach()[..., self.stations, :]
+        reach = (places * outward[..., None, :]).sum(dim=-1)
+        # of stations that reach as far, the first, as rows are filled up by theirs
+        chosen = self.stations.expand_as(reach).gather(-1, reach.argmax(dim=-1, keepdim=True))[..., 0]
+        contour = screen.gather(-2, chosen[..., None].expand(*chosen.shape, 2))
+        return torch.cat([contour, labelled[..., CONTOUR.stop :, :], screen[..., self.dense, :]], dim=-2), outward
+
+    @cached_property
+    def stations(self) -> Tensor:
+        """(17, k) `rows`, each filled up by its first number to the length of the longest."""
+        longest = max(map(len, self.rows))
+        return torch.as_tensor(np.stack([np.append(row, np.full(longest - len(row), row[0])) for row in self.rows]))
 
 
 def landmark_points(parts: FaceParts) -> tuple[IntArray, int]:
@@ -152,24 +157,3 @@ def front_axes(parts: FaceParts, rig: Rig) -> tuple[FloatArray, FloatArray, Floa
     if parts.up_axis == "Z":
         return world[:, 0], world[:, 2], -world[:, 1]
     return world[:, 0], world[:, 1], world[:, 2]
-
-
-def part_of(rig: Rig, points: IntArray) -> Rig:
-    """The rig of some of the points only, each as often as it is named."""
-    order = np.argsort(points, kind="stable")
-    first, after = (np.searchsorted(points[order], np.arange(len(rig.points)), side) for side in ("left", "right"))
-    targets = []
-    for target in rig.targets:
-        row, step = expand(after[target.point_indices] - first[target.point_indices])
-        positions = order[first[target.point_indices][row] + step]
-        sorting = np.argsort(positions, kind="stable")
-        targets.append(replace(target, point_indices=positions[sorting], offsets=target.offsets[row[sorting]]))
-    return replace(
-        rig,
-        points=rig.points[points],
-        targets=tuple(targets),
-        influences=rig.influences[points],
-        dual=None if rig.dual is None else rig.dual[points],
-        mesh_names=("landmarks",),
-        mesh_offsets=np.array([0, len(points)]),
-    )

@@ -28,7 +28,7 @@ from facepipe.photo.descent.shadows import (
     visibility,
 )
 from facepipe.photo.descent.working_photo import to_srgb
-from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.camera import Camera
 from facepipe.photo.renderer.face_model import FaceModel
 from facepipe.photo.renderer.light import DARK, KeyLight, ambient, basis, hue_cost, shade
 from facepipe.photo.renderer.rasterise import Raster, barycentrics, facing, interpolate, rasterise
@@ -73,7 +73,7 @@ class SeenSurface:
             shown = face.reshape(-1)[raster.pixels] > _SHOWN
             raster = replace(raster, pixels=raster.pixels[shown], triangles=raster.triangles[shown])
             weights = barycentrics(screen, triangles, raster)
-            normals = model.normals(points) @ rotation_matrices(camera.rotation).mT
+            normals = model.normals(points) @ camera.matrix.mT
             normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
             return cls(
                 raster=raster,

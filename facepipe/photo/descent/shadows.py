@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.camera import Camera
 from facepipe.photo.renderer.face_model import FaceModel
 from facepipe.photo.renderer.light import KERNEL, basis
 from facepipe.photo.renderer.rasterise import rasterise
@@ -110,7 +110,7 @@ class Shadows:
 def shadows_of_harmonics(model: FaceModel, points: Tensor, camera: Camera, sky: Tensor) -> Tensor:
     """(n, 9) as `Look.shadow`, of world points (n, 3) and their `sky_visibility` in camera coordinates."""
     with torch.no_grad():
-        transfer = transfer_of(sky, model.normals(points) @ rotation_matrices(camera.rotation).mT)
+        transfer = transfer_of(sky, model.normals(points) @ camera.matrix.mT)
         return transfer * transfer.new_tensor(KERNEL)  # a window: nine harmonics of sharp shadows ring
 
 

@@ -34,6 +34,7 @@ from facepipe.networks.onnx_file import (
     read_model,
 )
 from facepipe.photo.features.onnx_module import OnnxModule
+from facepipe.rig.torch.one_thread import one_thread
 
 Features: TypeAlias = Tensor | tuple[Tensor, ...]
 _SLACK = 1e-3  # of probabilities at their bounds and in their sum
@@ -320,6 +321,7 @@ class Normalize(nn.Module):  # type: ignore[misc]
         return normal.flip(1) if self._turned else normal
 
 
+@one_thread()
 def load_extractor(path: str | os.PathLike[str], kind: Kind | None = None, *, bounded: bool = False) -> Extractor:
     """The network in an ONNX file, or a torch.export program (``.pt2``: trusted files only, loading can run code).
 

@@ -16,6 +16,7 @@ from facepipe.core.names import suggestion, unique_identifiers
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import Animation, FaceParts, KeyLamp, PhotoView, Recipe, Slider
 from facepipe.photo.fit.report import Loss, PhotoFitReport, PhotoReport
+from facepipe.rig import slide
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.stage.face import play
@@ -64,11 +65,13 @@ def gaze(face: Face, values: Mapping[str, float], view: FittedView) -> dict[str,
         return {}
     rest = np.array([slider.default for slider in sliders])
     lower, upper = (np.array([getattr(slider, name) for slider in sliders]) for name in ("minimum", "maximum"))
-    names = [slider.name for slider in sliders]
+    names, eyes = [slider.name for slider in sliders], face.rig().part(points)
 
     def residuals(at: FloatArray) -> FloatArray:
         looking = dict(values) | dict(zip(names, at.tolist(), strict=True))
-        pupils = face.evaluate(dict(view.expressions), sliders=looking)[points]
+        coefficients, driven = slide(face.sliders, face.skeleton.joints, looking, face.slider_network)
+        weights = {shape: driven.get(shape, 0.0) + view.expressions.get(shape, 0.0) for shape in face.shapes}
+        pupils = eyes.evaluate(weights, coefficients=coefficients)
         local = Rotation.from_rotvec(camera.rotation).apply(pupils) + camera.translation
         marks = np.asarray(camera.focal * local[:, :2] * (1, -1) / -local[:, 2:] + camera.center)
         return np.append((marks - seen[:, :2]) / seen[:, 2:], (at - rest) / _USUAL)

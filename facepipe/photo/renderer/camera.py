@@ -7,6 +7,7 @@ Pixels count from the top left corner of the image, x right and y down; the firs
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -50,7 +51,12 @@ class Camera:
 
     def to_camera(self, points: Tensor) -> Tensor:
         """(..., n, 3) camera coordinates of world points (..., n, 3)."""
-        return points @ rotation_matrices(self.rotation).mT + self.translation[..., None, :]
+        return points @ self.matrix.mT + self.translation[..., None, :]
+
+    @cached_property
+    def matrix(self) -> Tensor:
+        """(..., 3, 3) R(rotation)."""
+        return rotation_matrices(self.rotation)
 
     def project(self, points: Tensor) -> Tensor:
         """(..., n, 3) pixel x, pixel y and depth of world points (..., n, 3)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,7 +18,7 @@ from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import triangulate
 from facepipe.parts import FaceParts, Material, TextureInput
-from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.camera import Camera
 from facepipe.photo.renderer.light import KeyLight, shade
 from facepipe.photo.renderer.rasterise import (
     Outline,
@@ -30,7 +30,7 @@ from facepipe.photo.renderer.rasterise import (
     rasterise,
     take,
 )
-from facepipe.rig import build
+from facepipe.rig import Rig, build
 from facepipe.rig.torch.rig import DifferentiableRig, FixedMatrix
 
 _Wrap = Literal["repeat", "mirror", "clamp"]
@@ -227,18 +227,24 @@ class FaceModel:
         self,
         parts: FaceParts,
         *,
+        rig: Rig | None = None,
+        drawn_only: bool = False,
         expressions_last: bool = False,
         largest_texture: int = 1024,
         dtype: torch.dtype = torch.float32,
     ) -> None:
         """
+        :param rig: of these parts, where there is one already
+        :param drawn_only: without points of no opaque triangle, as of hair: a third of those of the head in the box
         :param expressions_last: as for `DifferentiableRig`
         :param largest_texture: pixels a side beyond which textures are halved
         :raises InputError: a texture that can't be read, or a slider of joints or shapes that are not there
         :raises TopologyError: indices, counts or materials that don't fit
         """
-        rig = build(parts)
-        surfaces = opaque_surfaces(parts)
+        rig, surfaces = build(parts) if rig is None else rig, opaque_surfaces(parts)
+        if drawn_only:
+            used, triangles = np.unique(surfaces.triangles, return_inverse=True)
+            rig, surfaces = rig.part(used), replace(surfaces, triangles=triangles.reshape(-1, 3))
         self.rig = DifferentiableRig(
             rig, parts.sliders, network=parts.slider_network, expressions_last=expressions_last, dtype=dtype
         )
@@ -262,7 +268,7 @@ class FaceModel:
         screen = camera.to_pixels(local)
         raster = rasterise(screen, triangles, height, width)
         weights = barycentrics(screen, triangles, raster)
-        normals = self.normals(points) @ rotation_matrices(camera.rotation).mT
+        normals = self.normals(points) @ camera.matrix.mT
         normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
         shadow = None if look.shadow is None else interpolate(look.shadow, triangles, raster, weights)
         normals = normalize(normals, dim=1)  # interpolated ones are shorter than 1 between points

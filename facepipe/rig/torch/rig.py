@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,16 @@ class FixedMatrix:
     (`embedding_bag`) of A, and of its transpose for the gradient, run everywhere.
     """
 
-    def __init__(self, matrix: sparse.sparray, dtype: torch.dtype, device: torch.device | str) -> None:
-        """:param matrix: (r, c), copied"""
+    def __init__(self, matrix: sparse.sparray | FloatArray, dtype: torch.dtype, device: torch.device | str) -> None:
+        """:param matrix: (r, c), copied if it is sparse"""
         self.shape: tuple[int, int] = matrix.shape
         rows, columns = matrix.shape
         self._dense: Tensor | None = None
-        if matrix.nnz >= DENSE * rows * columns:
-            self._dense = torch.as_tensor(matrix.toarray(), dtype=dtype, device=device)
+        if isinstance(matrix, np.ndarray):
+            self._dense = torch.as_tensor(matrix, dtype=dtype, device=device)
+        elif matrix.nnz >= DENSE * rows * columns:
+            # column by column, as shapes come: a single pose takes a third of the time that it takes row by row
+            self._dense = torch.as_tensor(matrix.T.toarray(), dtype=dtype, device=device).mT
         else:
             self._own = _bags(matrix, dtype, device)
             self._transposed = _bags(matrix.T, dtype, device)
@@ -103,7 +107,7 @@ class DifferentiableRig:
         self._rest = self._constant(rig.rest)
         self._inverse_bind = self._constant(rig.inverse_bind)
         self._parent_world = self._constant(rig.parent_world)
-        self._deltas = FixedMatrix(rig.delta_columns, dtype, device)
+        self._deltas = FixedMatrix(_deltas(rig), dtype, device)
         self._influences = FixedMatrix(rig.influences, dtype, device)
         self._activations = PiecewiseLinear(
             _activations(rig), len(rig.shapes), np.zeros(len(rig.targets)), dtype, device
@@ -140,20 +144,22 @@ class DifferentiableRig:
                 raise InputError("differentiable rig", "sliders and bone coefficients, expected only one of them")
             self._check("sliders", sliders, (len(self.sliders.names),))
             coefficients, driven = self.sliders(sliders)
+            coefficients = coefficients if self.sliders.moves_joints else None
             weights = driven if weights is None else weights + driven
         if weights is not None:
             self._check("shape weights", weights, (len(self.shapes),))
         if coefficients is not None:
             self._check("bone coefficients", coefficients, (len(self.joints), 9))
         # p = sum_i w_i W_i B_i^-1 (x + D a), with D a after the sum where expressions come last, turned into the world.
-        matrices = self.skinning_matrices(coefficients, parent_world)
+        still = coefficients is None and parent_world is None
+        blended = self._at_rest if still else self.blended(self.skinning_matrices(coefficients, parent_world))
         if weights is None:
-            return self.skin(self._points, matrices)
+            return under(blended, self._points)
         offsets = self.offsets(weights)
         if not self.expressions_last:
-            return self.skin(self._points + offsets, matrices)
+            return under(blended, self._points + offsets)
         placed = self._parent_world if parent_world is None else parent_world
-        return self.skin(self._points, matrices) + offsets @ placed[..., :3, :3].mT
+        return under(blended, self._points) + offsets @ placed[..., :3, :3].mT
 
     def offsets(self, weights: Tensor) -> Tensor:
         """(..., n, 3) what shape weights (..., shapes) add to the points, in skeleton space at bind time."""
@@ -177,14 +183,18 @@ class DifferentiableRig:
         skinning = torch.cat(levels, dim=-3).index_select(-3, self._order) @ self._inverse_bind
         return torch.cat([skinning, root_matrix], dim=-3)
 
-    def skin(self, points: Tensor, matrices: Tensor) -> Tensor:
-        """(..., n, 3) world points of morphed points under (..., j + 1, 4, 4) skinning matrices."""
+    @cached_property
+    def _at_rest(self) -> Tensor:
+        """(n, 3, 4) what points are under where no joint moves, which is the same for every pose of a fit of shapes."""
+        return self.blended(self.skinning_matrices())
+
+    def blended(self, matrices: Tensor) -> Tensor:
+        """(..., n, 3, 4) what each point is under of (..., j + 1, 4, 4) skinning matrices."""
         batch = matrices.shape[:-3]
         flat = matrices[..., :3, :].reshape(-1, matrices.shape[-3], 12)
         columns = flat.transpose(0, 1).reshape(matrices.shape[-3], -1)
         blended = (self._influences @ columns).reshape(self.point_count, len(flat), 3, 4).transpose(0, 1)
-        blended = blended.reshape(*batch, self.point_count, 3, 4)
-        return (blended[..., :3] * points[..., None, :]).sum(dim=-1) + blended[..., 3]
+        return blended.reshape(*batch, self.point_count, 3, 4)
 
     def _constant(self, values: FloatArray) -> Tensor:
         return torch.as_tensor(np.array(values, dtype=np.float64), dtype=self.dtype, device=self.device)
@@ -193,6 +203,11 @@ class DifferentiableRig:
         if tuple(values.shape[-len(shape) :]) != shape:
             expected = ", ".join(map(str, ("...", *shape)))
             raise InputError("differentiable rig", f"{what} of shape {tuple(values.shape)}, expected ({expected})")
+
+
+def under(matrices: Tensor, points: Tensor) -> Tensor:
+    """(..., n, 3) points (..., n, 3), each under its own of (..., n, 3, 4) matrices."""
+    return (matrices[..., :3] @ points[..., None])[..., 0] + matrices[..., 3]
 
 
 def coefficient_matrices(coefficients: Tensor) -> Tensor:
@@ -206,6 +221,17 @@ def coefficient_matrices(coefficients: Tensor) -> Tensor:
     upper = torch.cat([torch.stack([x, y, z], dim=-1) * scale[..., None, :], t[..., None]], dim=-1)
     last = coefficients.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*upper.shape[:-2], 1, 4)
     return torch.cat([upper, last], dim=-2)
+
+
+def _deltas(rig: Rig) -> sparse.sparray | FloatArray:
+    """(3 n, targets) as `Rig.delta_columns`; of identity modes, which move all points, without the detour of a sparse
+    one, which takes five times as long."""
+    if sum(len(target.point_indices) for target in rig.targets) < DENSE * len(rig.points) * len(rig.targets):
+        return rig.delta_columns
+    columns = np.zeros((len(rig.targets), len(rig.points), 3), np.float32)
+    for column, target in zip(columns, rig.targets, strict=True):
+        column[target.point_indices] = target.offsets
+    return columns.reshape(len(columns), -1).T
 
 
 def _activations(rig: Rig) -> list[Term]:

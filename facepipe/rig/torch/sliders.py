@@ -106,7 +106,10 @@ class DifferentiableNetwork:
 
 
 class DifferentiableSliders:
-    """Slider values (..., s), in the order of `names`, to bone coefficients and shape weights."""
+    """Slider values (..., s), in the order of `names`, to bone coefficients and shape weights.
+
+    Where it `moves_joints`; else the coefficients are those at rest, whatever the values.
+    """
 
     def __init__(
         self,
@@ -144,6 +147,8 @@ class DifferentiableSliders:
                 if shape not in shapes:
                     raise InputError(f"slider {slider.name}", f"no shape '{shape}'")
                 terms.append(_term(number, 9 * len(joints) + list(shapes).index(shape), slider, gain, curve))
+        self.moves_joints = any(term.output < 9 * len(joints) for term in terms)
+        self.moves_joints |= network is not None and bool(network.channels)
         self._map = PiecewiseLinear(terms, len(sliders), base, dtype, device)
         self._network: DifferentiableNetwork | None = None
         if network is not None:
