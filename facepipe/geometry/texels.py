@@ -13,7 +13,7 @@ from facepipe.core.arrays import Float32Array, FloatArray, IntArray
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas
-from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
+from facepipe.geometry.rasterise import Raster, barycentrics, rasterise, screen_triangles
 
 _RUN = 1 << 16  # texels whose colours fit into a processor's cache: whole textures take twice as long
 _ZERO_WEIGHT = 1e-12  # weight of an offset of 0, which surfaces without anything known have
@@ -47,8 +47,12 @@ class Texels:
 
     def by_runs(self, rows: Callable[..., FloatArray], *columns: FloatArray) -> Float32Array:
         """(m, c) the rows that a function makes of a run of texels and of what `columns` (m, ...) have there."""
-        made = [np.asarray(rows(part, *(each[run] for each in columns)), np.float32) for run, part in self.runs()]
-        return np.concatenate(made or [np.asarray(rows(self, *columns), np.float32)])
+        made = np.zeros((0, 0), np.float32)
+        for run, part in [*self.runs()] or [(slice(None), self)]:
+            some = rows(part, *(each[run] for each in columns))
+            made = made if made.size else np.empty((len(self.at), some.shape[1]), np.float32)
+            made[run] = some
+        return made
 
     def _shares(self, count: int) -> Any:
         """(m, count) scipy's sparse matrix of the barycentrics: a product with it takes a sixth of three gathers."""
@@ -79,15 +83,17 @@ def texels_of(uv_corners: FloatArray, triangles: IntArray, size: int) -> Texels:
     flat = inside.reshape(-1, 2)
     screen = np.column_stack([flat[:, 0] * size, (1.0 - flat[:, 1]) * size, np.ones(len(flat)), np.ones(len(flat))])
     numbers = np.arange(len(flat)).reshape(-1, 3)
-    raster = rasterise(screen_triangles(screen, numbers), size, size)
-    at = np.flatnonzero(raster.key != 0)
-    ids = np.take(raster.triangle.ravel(), at)
-    weights = np.empty((len(at), 3), np.float32)
-    for start in range(0, len(at), _RUN):
-        run = slice(start, start + _RUN)
-        row, column = np.divmod(at[run], size)
-        weights[run] = barycentrics(screen, numbers, ids[run], column + 0.5, row + 0.5)
-    return Texels(size=size, at=at, corners=np.take(triangles.astype(np.int32), ids, axis=0), weights=weights)
+    key = rasterise(screen_triangles(screen, numbers), size, size).key.ravel()
+    at, points = np.flatnonzero(key != 0), triangles.astype(np.int32)
+    texels = Texels(
+        size=size, at=at, corners=np.empty((len(at), 3), np.int32), weights=np.empty((len(at), 3), np.float32)
+    )
+    for _, part in texels.runs():
+        row = part.at // size
+        ids = Raster(key=np.take(key, part.at)).triangle
+        part.corners[:] = np.take(points, ids, axis=0)
+        part.weights[:] = barycentrics(screen, numbers, ids, part.at - size * row + 0.5, row + 0.5)
+    return texels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -109,7 +109,8 @@ class Rig:
         """The rig of some of the points only, as one mesh, each as often as it is named."""
         order = np.argsort(points, kind="stable")
         first, after = (np.searchsorted(points[order], np.arange(len(self.points)), side) for side in ("left", "right"))
-        targets, moved = list[Target](), np.zeros(0, np.int64)
+        targets: list[Target] = []
+        moved: IntArray = np.zeros(0, np.int64)
         row = places = moved
         for target in self.targets:
             if not np.array_equal(target.point_indices, moved):  # many move the same points, as identity modes do

@@ -163,9 +163,9 @@ class Baker:
         self.flats = [np.maximum(template_texels(texture), DARKEST) for texture in skin.textures]
         sums = np.zeros((len(skin.points), 4))
         for texture, flat in zip(skin.textures, self.flats, strict=True):
-            columns = np.ones((len(flat), 4), np.float32)
-            np.log(flat, out=columns[:, :3])
-            sums += texture.texels.summed(columns, len(skin.points))
+            for run, part in texture.texels.runs():
+                own = np.log(flat[run])
+                sums += part.summed(np.column_stack([own, np.ones(len(own))]), len(skin.points))
         self.lids = upper_lids(skin)
         self.totals = sums[:, 3]
         self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
@@ -230,7 +230,7 @@ class Baker:
         lessened = []
         for texture, one in zip(skin.textures, observed, strict=True):
             ratio = one.ratio - around.too_much(texture.texels.taken(one.place), one.ratio)
-            lessened.append(replace(one, ratio=ratio - np.log(scale).astype(np.float32)))
+            lessened.append(replace(one, ratio=np.asarray(ratio - np.log(scale), np.float32)))
         colors, trust = self.at_points(lessened)
         white = photo.white * np.exp(raw - colors)
         harmonics = renewed(photo, white, trust * skin.areas, scale)
@@ -241,8 +241,10 @@ class Baker:
         """(n, 3) mean colours at points, and (n,) confidence."""
         sums = np.zeros((len(self.skin.points), 4))
         for texture, one in zip(self.skin.textures, observed, strict=True):
-            values = np.column_stack([one.ratio * one.trust[:, None], one.trust])
-            sums += texture.texels.taken(one.place).summed(values, len(self.skin.points))
+            for run, part in texture.texels.taken(one.place).runs():
+                trust = one.trust[run]
+                values = np.column_stack([one.ratio[run] * trust[:, None], trust])
+                sums += part.summed(values, len(self.skin.points))
         return sums[:, :3] / np.maximum(sums[:, 3:], 1e-9), sums[:, 3] / np.maximum(self.totals, 1e-9)
 
     def evened(self, number: int, one: Observed, light: FloatArray, mask: FloatArray) -> Observed:

@@ -229,7 +229,7 @@ class Relief:
             bright = (colors @ grey)[:, None]
             hue = colors - bright - around[:, 3:]
             dark = np.minimum(bright - level + _FOLD, 0) * folds
-            return plain * (_FLATTER * dark + hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE))
+            return np.asarray(plain * (_FLATTER * dark + hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE)))
 
         return texels.by_runs(of, colors)
 

@@ -215,14 +215,15 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     for one, other in (skin.edges.T, skin.edges.T[::-1]):
         beside[one[marked[other]]] = True
 
+    light = np.column_stack([photo.points, photo.normals, photo.light.arriving, photo.light.hidden]).astype(np.float32)
+    place_of = np.column_stack([light[:, :6], skin.outside])  # what texels take of points, in one product
+
     def where(part: Texels) -> FloatArray:
         """(k, 3) pixels, and the trust in what they show by geometry."""
-        local = part.carried(photo.points)
+        local, normals, outside = np.split(part.carried(place_of), [3, 6], axis=1)
         pixels, depth = to_pixels(photo.view, local)
-        facing = np.einsum("mc,mc->m", unit_vectors(part.carried(photo.normals)), unit_vectors(-local))
-        trust = photo.seen.confidence(pixels, depth, facing)
-        trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
-        return np.column_stack([pixels, trust])
+        facing = np.einsum("mc,mc->m", unit_vectors(normals), unit_vectors(-local))
+        return np.column_stack([pixels, photo.seen.confidence(pixels, depth, facing) * (outside[:, 0] > 0.999)])
 
     first, second, third = (np.take(marked | beside, corner) for corner in texels.corners.T)
     place = np.flatnonzero(first | second | third)
@@ -238,11 +239,11 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
 
     def unlit(part: Texels, shown: Float32Array, trust: Float32Array, own: Float32Array) -> FloatArray:
         """(k, 4) ratios to colours of the template's, and the trust in them."""
-        normals = unit_vectors(part.carried(photo.normals))
-        hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
+        local, normals, arriving, hidden = np.split(part.carried(light), [3, 6, 7], axis=1)
+        normals, arriving = unit_vectors(normals), arriving[:, 0]
         white = photo.light.white(normals, hidden, arriving)
         linear = from_srgb(np.clip(shown, 0, 1))
-        mirrored = photo.light.mirrored(normals, unit_vectors(-part.carried(photo.points)), arriving)
+        mirrored = photo.light.mirrored(normals, unit_vectors(-local), arriving)
         most = np.maximum(np.maximum(shown[:, 0], shown[:, 1]), shown[:, 2])
         trust = trust * step(white @ grey / bright, *_DIM) * (1 - step(most, *_BLOWN) * 0.9)
         matt = np.maximum(linear - np.minimum(mirrored, 0.4 * linear), DARKEST) / np.maximum(white, _DIM[0] * bright)

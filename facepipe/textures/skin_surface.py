@@ -153,8 +153,13 @@ def template_texels(texture: SkinTexture) -> Float32Array:
     # a table of 256 levels a channel, not millions of powers
     linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255))
     table = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1).astype(np.float32)
-    levels = np.take(np.asarray(picture).reshape(-1, 3), texture.texels.at, axis=0)
-    return np.stack([np.take(table[:, channel], levels[:, channel]) for channel in range(3)], axis=1)
+    levels = np.asarray(picture).reshape(-1, 3)
+
+    def shown(part: Texels) -> FloatArray:
+        own = np.take(levels, part.at, axis=0)
+        return np.stack([np.take(table[:, channel], own[:, channel]) for channel in range(3)], axis=1)
+
+    return texture.texels.by_runs(shown)
 
 
 def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTexture, ...]:

@@ -189,22 +189,16 @@ class SurfaceColors:
         material = self.materials[raster.triangles]
         result = take(self.colors if tint is None else self.colors * tint, material)
         images = {**self.textures, **(textures or {})}
+        uv, places, shown = interpolate(self._uv, self._corners, raster, weights), [], []
         for number, source in self._inputs.items():
             pixels = (material == number).nonzero()[:, 0]
-            if not len(pixels):
-                continue
-            part = Raster(
-                height=raster.height,
-                width=raster.width,
-                pixels=raster.pixels[pixels],
-                triangles=raster.triangles[pixels],
-                nearness=raster.nearness,
-            )
-            uv = interpolate(self._uv, self._corners, part, weights.index_select(0, pixels))
-            texels = bilinear(images[self.names[number]], uv, source.wrap_s, source.wrap_t)
-            factor = torch.ones_like(result).index_copy(0, pixels, texels)
-            result = result * factor
-        return result
+            if len(pixels):
+                image = images[self.names[number]]
+                shown.append(bilinear(image, uv.index_select(0, pixels), source.wrap_s, source.wrap_t))
+                places.append(pixels)
+        if not shown:
+            return result
+        return result * torch.ones_like(result).index_copy(0, torch.cat(places), torch.cat(shown))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,12 +27,7 @@ from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.heads.people import STYLES
 from facepipe.heads.surfaces import brow_color, card_triangles, cards, kind_of, other_cards, picture_of
 from facepipe.parts import FaceParts, PhotoView, Recipe, TextureInput
-from facepipe.photo import pictures
 from facepipe.photo.fit import read_photo
-from facepipe.photo.fit.report import render_image
-from facepipe.photo.pictures import SIZE, grid, photo_render, three_sides
-from facepipe.pictures import save_png
-from facepipe.pictures.figures import figure
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes, author_mesh_in_place
 from facepipe.stage.materials import author_color_scale, author_opacity
@@ -183,7 +178,7 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray
 
 def _png(levels: ByteArray) -> bytes:
     stream = BytesIO()
-    # runs alone: of skin, without long repetitions, 2 to 9 % larger than with compress_level 6, in a quarter of the time
+    # runs alone: of skin, which hardly repeats, 2 to 9 % larger than with compress_level 6, in a quarter of the time
     Image.fromarray(levels).save(stream, format="PNG", compress_type=Image.RLE)
     return stream.getvalue()
 
@@ -396,6 +391,8 @@ class BakeSheet:
 
 def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeSheet:
     """What a face shows that textures were just baked to, within `Face.deriving`; photos are of the face before."""
+    from facepipe.photo.pictures import photo_render
+
     parts, textured = face.parts_so_far(), Face(face.stage, face.prim)
     views = {view.name: view for view in parts.photos}
     skin = next(number for number, mesh in enumerate(parts.meshes) if SCHEME in mesh.landmarks)
@@ -412,6 +409,12 @@ def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeShee
 
 def write_folder(folder: Path, report: BakePhotoReport) -> None:
     """Write report.html, report.json and, called as the poses of the photos, the face as it is in them."""
+    from facepipe.photo import pictures
+    from facepipe.photo.fit.report import render_image
+    from facepipe.photo.pictures import SIZE, grid, three_sides
+    from facepipe.pictures import save_png
+    from facepipe.pictures.figures import figure
+
     rows, textures, parts = [], [], report.sheet.parts
     for shown in report.sheet.photos:
         save_png(render_image(shown.render), folder / f"{shown.view.name}.render.png")

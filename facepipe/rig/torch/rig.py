@@ -231,7 +231,7 @@ def _deltas(rig: Rig) -> sparse.sparray | FloatArray:
     columns = np.zeros((len(rig.targets), len(rig.points), 3), np.float32)
     for column, target in zip(columns, rig.targets, strict=True):
         column[target.point_indices] = target.offsets
-    return columns.reshape(len(columns), -1).T
+    return columns.reshape(len(columns), 3 * len(rig.points)).T
 
 
 def _activations(rig: Rig) -> list[Term]:
