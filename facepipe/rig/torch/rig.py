@@ -107,7 +107,7 @@ class DifferentiableRig:
         self._rest = self._constant(rig.rest)
         self._inverse_bind = self._constant(rig.inverse_bind)
         self._parent_world = self._constant(rig.parent_world)
-        self._deltas = FixedMatrix(_deltas(rig), dtype, device)
+        self._deltas = FixedMatrix(_deltas(rig, np.float32 if dtype == torch.float32 else np.float64), dtype, device)
         self._influences = FixedMatrix(rig.influences, dtype, device)
         self._activations = PiecewiseLinear(
             _activations(rig), len(rig.shapes), np.zeros(len(rig.targets)), dtype, device
@@ -223,12 +223,12 @@ def coefficient_matrices(coefficients: Tensor) -> Tensor:
     return torch.cat([upper, last], dim=-2)
 
 
-def _deltas(rig: Rig) -> sparse.sparray | FloatArray:
+def _deltas(rig: Rig, dtype: type[np.floating]) -> sparse.sparray | FloatArray:
     """(3 n, targets) as `Rig.delta_columns`; of identity modes, which move all points, without the detour of a sparse
     one, which takes five times as long."""
     if sum(len(target.point_indices) for target in rig.targets) < DENSE * len(rig.points) * len(rig.targets):
         return rig.delta_columns
-    columns = np.zeros((len(rig.targets), len(rig.points), 3), np.float32)
+    columns = np.zeros((len(rig.targets), len(rig.points), 3), dtype)
     for column, target in zip(columns, rig.targets, strict=True):
         column[target.point_indices] = target.offsets
     return columns.reshape(len(columns), 3 * len(rig.points)).T
