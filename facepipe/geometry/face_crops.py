@@ -8,9 +8,8 @@ render of it are read at the same places.
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import affine_transform
 
-from facepipe.core.arrays import Float32Array, FloatArray
+from facepipe.core.arrays import Float32Array, FloatArray, IntArray
 from facepipe.core.errors import InputError
 
 ARCFACE_SIZE = 112  # pixels a side that the five points are given for
@@ -48,6 +47,7 @@ ARCFACE_TEMPLATE: FloatArray = np.array(
     [(38.2946, 51.6963), (73.5318, 51.5014), (56.0252, 71.7366), (41.5493, 92.3655), (70.7299, 92.2041)]
 ) + np.array([0.5, 0.5])
 
+_RIGHT_ANGLE = 1e-9  # of a crop's scale: so little turns no row
 _ROUNDING_SHARE = 1e-9  # a spread or a scale below this share of the coordinates is rounding
 
 
@@ -84,18 +84,58 @@ def plain_crop(image: Float32Array, matrix: FloatArray, size: int) -> Float32Arr
     :param matrix: (2, 3) from crop pixels to image pixels
     """
     factor = max(1, round(float(np.hypot(*matrix[:, 0]))))
-    height, width, _ = image.shape
-    rows, columns = (np.arange(0, side, factor) for side in (height, width))
-    sums = np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1)
+    if factor == 1:
+        return bilinear(image, matrix, size)
+    # averaged where the crop lies alone, by whole pixels of the result: a photo has 12 million
+    corners = from_crop(np.array([(0, 0), (size, 0), (0, size), (size, size)]), matrix)[:, ::-1]
+    last = -(-np.array(image.shape[:2]) // factor) - 1
+    first = np.clip(np.floor(corners.min(axis=0) / factor) - 1, 0, last).astype(np.int64)
+    beyond = np.clip(np.ceil(corners.max(axis=0) / factor) + 1, first, last).astype(np.int64) + 1
+    (top, left), (bottom, right) = first * factor, beyond * factor
+    part = image[top:bottom, left:right]
+    rows, columns = (np.arange(0, side, factor) for side in part.shape[:2])
+    sums = np.add.reduceat(np.add.reduceat(part, rows, axis=0), columns, axis=1)
+    height, width = part.shape[:2]
     counts = np.outer(np.minimum(height - rows, factor), np.minimum(width - columns, factor))
-    pixels = (sums / counts[..., None]).astype(np.float32)
-    linear = matrix[::-1, 1::-1] / factor  # rows and columns are y and x
-    offset = (matrix[::-1, :2] @ (0.5, 0.5) + matrix[::-1, 2]) / factor - 0.5
-    channels = [
-        affine_transform(pixels[..., channel], linear, offset, (size, size), order=1, mode="nearest")
-        for channel in range(3)
-    ]
-    return np.stack(channels, axis=-1)
+    within = matrix - np.column_stack([np.zeros((2, 2)), (left, top)])
+    return bilinear((sums / counts[..., None]).astype(np.float32), within / factor, size)
+
+
+def bilinear(image: Float32Array, matrix: FloatArray, size: int) -> Float32Array:
+    """(size, size, c) the crop of an image (h, w, c); what lies outside has the colour of its nearest border pixel.
+
+    scipy's `affine_transform` takes 1.5 times as long, and where rows and columns stay such, as those of most crops that
+    a search looks at, 8 times: those are mixed one axis after the other.
+
+    :param matrix: (2, 3) from crop pixels to image pixels
+    """
+    pixels, centres = np.asarray(image, np.float32), np.arange(size) + 0.5
+    (xx, xy, x), (yx, yy, y) = np.asarray(matrix)
+    turned, along = max(abs(xx), abs(yy)), max(abs(xy), abs(yx))
+    if min(turned, along) <= _RIGHT_ANGLE * max(turned, along):
+        if along > turned:  # the image's columns are the crop's rows
+            pixels, (xx, x, yy, y) = pixels.transpose(1, 0, 2), (yx, y, xy, x)
+        for axis, (scale, start) in enumerate(((yy, y), (xx, x))):
+            low, high, share = _between(scale * centres + start, pixels.shape[axis])
+            share = share[:, None] if axis else share[:, None, None]
+            near, far = pixels.take(low, axis), pixels.take(high, axis)
+            pixels = near + share * (far - near)
+        return np.ascontiguousarray(pixels)
+    height, width, channels = pixels.shape
+    left, right, across = _between(xx * centres + (xy * centres[:, None] + x), width)
+    upper, lower, down = _between(yx * centres + (yy * centres[:, None] + y), height)
+    flat, corners = np.ascontiguousarray(pixels).reshape(-1, channels), []
+    for row in (upper * width, lower * width):
+        near, far = flat.take(row + left, 0), flat.take(row + right, 0)
+        corners.append(near + across[..., None] * (far - near))
+    return np.asarray(corners[0] + down[..., None] * (corners[1] - corners[0]))
+
+
+def _between(places: FloatArray, count: int) -> tuple[IntArray, IntArray, Float32Array]:
+    """The pixels of a row before and after each place, and how near each is to the latter, 0 to 1."""
+    places = np.clip(places - 0.5, 0, count - 1)
+    before = places.astype(np.int64)
+    return before, np.minimum(before + 1, count - 1), (places - before).astype(np.float32)
 
 
 def turned_crop(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:

@@ -135,7 +135,7 @@ def _faces(
     found, size = [], (turned.shape[1], turned.shape[0])
     for face in faces:
         face = replace(face, landmarks=face.landmarks * scale)
-        nearer = dense_landmarks(own_dense_session(), torch.as_tensor(turned), face.landmarks) if closer else None
+        nearer = dense_landmarks(own_dense_session(), turned, face.landmarks) if closer else None
         if nearer is not None:
             points, errors = nearer
             trust = np.minimum(1, (_EXACT * face_size(points[:COUNT]) / errors) ** 2)
@@ -197,7 +197,7 @@ def _settled(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArra
         matrices = [matrix for one in _distinct(landmarks) if (matrix := _crop(photo, one, network.size)) is not None]
         if not matrices:
             return []
-        places, presence = network(crops_of(photo, matrices, network.size))
+        places, presence = network(crops_of(photo.numpy(), matrices, network.size))
         kept = zip(places, matrices, presence, strict=True)
         landmarks = np.array([from_crop(one, matrix) for one, matrix, sure in kept if sure > _MAYBE])
     return list(_distinct(landmarks))
@@ -233,7 +233,7 @@ def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray
     if aligned is None:
         return None
     matrices = [turned_crop(aligned, turn, scale, network.size) for turn, scale in _LOOKS]
-    looks, presence = landmarks_by_looks(network, photo, matrices)
+    looks, presence = landmarks_by_looks(network, photo.numpy(), matrices)
     mean = looks.mean(axis=0)
     final = _crop(photo, mean, network.size)
     if final is None or presence.mean() < _SURE:

@@ -107,7 +107,7 @@ def presence_map(model: Any) -> tuple[bytes, int]:
 
 
 def landmarks_by_looks(
-    network: LandmarkSession | DenseLandmarkSession, photo: torch.Tensor, matrices: list[FloatArray]
+    network: LandmarkSession | DenseLandmarkSession, photo: Float32Array, matrices: list[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """(2 k, n, 2) landmarks in a photo by k crops (2, 3) as they are, then mirrored, and what else is said of each."""
     crops = crops_of(photo, matrices, network.size)
@@ -116,9 +116,9 @@ def landmarks_by_looks(
     return np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices * 2, strict=True)]), further
 
 
-def crops_of(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatArray:
-    """(k, 3, size, size) several of `sample_crop`."""
-    return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
+def crops_of(photo: Float32Array, matrices: list[FloatArray], size: int) -> FloatArray:
+    """(k, 3, size, size) several of `plain_crop`."""
+    return np.stack([plain_crop(photo, matrix, size).transpose(2, 0, 1) for matrix in matrices])
 
 
 def landmark_model() -> Path:
@@ -259,7 +259,7 @@ def own_dense_session() -> DenseLandmarkSession:
 
 
 def dense_landmarks(
-    network: DenseLandmarkSession, photo: torch.Tensor, landmarks: FloatArray
+    network: DenseLandmarkSession, photo: Float32Array, landmarks: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 2) landmarks, the first 68 those of Multi-PIE, the last two the pupils, and errors to expect of them (n,).
 

@@ -305,9 +305,8 @@ def baked_relief(on_scan: SkinOnScan, number: int, own: TextureInput, edge: floa
     return flat.reshape(*size, 3)
 
 
-def is_finer(on_scan: SkinOnScan, edge: float) -> bool:
+def is_finer(skin: SkinSurface, edge: float) -> bool:
     """Whether a scan with triangles of that edge shows more than the mesh."""
-    skin = on_scan.skin
     face = skin.outside & (inner(skin) > 0.5)  # elsewhere meshes are coarse
     return edge < _FINER * median_edge(skin.points, skin.triangles[face[skin.triangles].all(axis=1)])
 
@@ -448,9 +447,12 @@ def author_scan_textures(
     colored, hidden = 0.0, tuple[str, ...]()
     with one_thread():
         skin = skin_of(parts, points, options.texture_size)
-        on_scan = lay_on(skin, scan, place, under_hair(parts, points, skin))
         edge = place.scale * median_edge(scan.points, scan.triangles)
-        if relief and is_finer(on_scan, edge):
+        relief = relief and is_finer(skin, edge)
+        if not colors and not relief:
+            return BakeScanReport()
+        on_scan = lay_on(skin, scan, place, under_hair(parts, points, skin))
+        if relief:
             # normal maps, where materials have one of the same texture coordinates
             normals = {material.name: material.normal for material in parts.materials}
             for number, texture in enumerate(skin.textures):

@@ -245,8 +245,8 @@ def test_ripples_that_the_mesh_is_too_coarse_for_go_to_the_normal_map(dressed: F
     skin = skin_of(replace(dressed, meshes=(mesh,)), 10.0 * mesh.points, FINE)  # mm
     scan = rippled(skin)
     on_scan, edge = lay_on(skin, scan, AS_IT_IS), median_edge(scan.points, scan.triangles)
-    assert is_finer(on_scan, edge)
-    assert not is_finer(on_scan, 4 * edge)  # as coarse as the mesh
+    assert is_finer(skin, edge)
+    assert not is_finer(skin, 4 * edge)  # as coarse as the mesh
     level = jpeg("level", np.full((FINE, FINE, 3), (128, 128, 255), np.uint8))
     own = TextureInput(texture=level, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
     texels, relief = skin.textures[0].texels, baked_relief(on_scan, 0, own, edge)

@@ -35,10 +35,16 @@ class Stage(NamedTuple):
     by_model: bool = False  # left to the modes where they can come near by themselves, on some of the points
 
 
-def in_stages(stages: Sequence[Stage], advance: Callable[[Stage], float], progress: Callable[[int], None]) -> int:
+def in_stages(
+    stages: Sequence[Stage],
+    advance: Callable[[Stage], float],
+    progress: Callable[[int], None],
+    lost: Callable[[], bool] = lambda: False,
+) -> int:
     """Take the steps of all stages; how many.
 
     :param advance: takes one, and gives the RMS movement [mm]
+    :param lost: whether no more stages are worth their steps
     """
     steps = 0
     for stage in stages:
@@ -48,6 +54,8 @@ def in_stages(stages: Sequence[Stage], advance: Callable[[Stage], float], progre
             progress(steps)
             if change < stage.still:
                 break
+        if lost():
+            break
     return steps
 
 
@@ -65,6 +73,7 @@ def register(
     progress: Callable[[int], None] = lambda step: None,
     shown: Shown | None = None,
     stages: Sequence[Stage] = STAGES,
+    growth: float = np.inf,
 ) -> Registered:
     """Fit a face to a scan.
 
@@ -75,12 +84,17 @@ def register(
     :param anchors: in the scan's own coordinates
     :param start: from those to the face's, about right
     :param shown: what the scan shows besides the surface
+    :param growth: logarithm: a scan that has grown or shrunk by more after a stage keeps the size of its `start`, from
+        the first step on. The modes alone show it, in 0.4 s of 8
     :raises FitError: hardly a point of the face finds a place on the scan
     """
-    state = _State(
-        surface, [View(scan=scan, anchors=anchors, start=start, shown=shown)], options or RegistrationOptions()
-    )
-    return state.run(stages, progress)[0]
+    views, options = [View(scan=scan, anchors=anchors, start=start, shown=shown)], options or RegistrationOptions()
+    state = _State(surface, views, options)
+    steps = state.advance(stages, progress, growth)
+    if state.growth > growth:
+        state = _State(surface, views, replace(options, scale=False))
+        steps = state.advance(stages, progress)
+    return state.registered(steps)[0]
 
 
 def register_together(
@@ -100,7 +114,7 @@ def register_together(
     """
     state = _State(surface, views, options or RegistrationOptions())
     state.coefficients, state.residual = coefficients, residual
-    return state.run(stages, progress)
+    return state.registered(state.advance(stages, progress))
 
 
 class _State:
@@ -120,13 +134,20 @@ class _State:
     def points(self) -> FloatArray:
         return self._surface.points(self.coefficients, self.residual)
 
-    def run(self, stages: Sequence[Stage], progress: Callable[[int], None]) -> tuple[Registered, ...]:
-        """Take the steps of all stages; a result for each scan."""
-        with one_thread():
-            steps = in_stages(stages, self._advance, progress)
-            return tuple(
-                view.registered(self._surface, self.coefficients, self.residual, steps) for view in self._views
-            )
+    @property
+    def growth(self) -> float:
+        """By how much scans have grown or shrunk, the logarithm."""
+        return max(abs(view.growth) for view in self._views)
+
+    @one_thread()
+    def advance(self, stages: Sequence[Stage], progress: Callable[[int], None], growth: float = np.inf) -> int:
+        """Take the steps of all stages, how many; up to one after which a scan has grown or shrunk by more."""
+        return in_stages(stages, self._advance, progress, lambda: self.growth > growth)
+
+    @one_thread()
+    def registered(self, steps: int) -> tuple[Registered, ...]:
+        """A result for each scan."""
+        return tuple(view.registered(self._surface, self.coefficients, self.residual, steps) for view in self._views)
 
     def _advance(self, stage: Stage) -> float:
         """Take one step; the RMS movement of seen points against the first scan, in millimetres."""

@@ -267,10 +267,15 @@ class ViewState:
 
     def __init__(self, view: View, surface: DeformableSurface, around: Any, options: RegistrationOptions) -> None:
         self._scan, self._options, self._sigmas, self._name = view.scan, options, view.sigmas, view.name
-        self._anchors, self._place = _moved(view.anchors, view.start), view.start
+        self._anchors, self._place, self._start = _moved(view.anchors, view.start), view.start, view.start
         self.spread = view.anchors.matrix(len(surface.base)) @ around
         self._shown = view.shown or Shown.nothing(len(surface.base))
         self._weights = self._shown.expected.copy()
+
+    @property
+    def growth(self) -> float:
+        """By how much the scan has grown since the start, the logarithm."""
+        return float(np.log(self._place.scale / self._start.scale))
 
     def points(self, points: FloatArray) -> FloatArray:
         """(n, 3) what the scan shows of the surface's points."""

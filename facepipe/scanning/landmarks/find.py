@@ -67,12 +67,11 @@ _GUESSED_MM, _SHOWN_MM = 1.5, 0.2
 def look_closer(look: Look, frame: FaceFrame, seen: Seen, angles: Sequence[tuple[float, float]], draw: Draw) -> Seen:
     """Landmarks by views at `angles`; those of the jaw, which are no truer from near, stay as they were `seen`."""
     from facepipe.networks.files import dense_landmarks, own_dense_session
-    from facepipe.rig.torch import torch
 
     views = [frame.view(yaw, pitch, _PIXELS, MARGIN) for yaw, pitch in angles]
     origins, directions, errors = [], [], []
     for view in views:
-        picture = torch.as_tensor(np.asarray(draw(look, view)[0], np.float32))
+        picture = np.asarray(draw(look, view)[0], np.float32)
         found = dense_landmarks(own_dense_session(), picture, view.project(seen.landmarks)[0])
         if found is not None:
             origins.append(view.eye)
@@ -123,7 +122,7 @@ class FindScanLandmarks:
     Places that may hold a face are searched, the likeliest first (`facepipe.scanning.landmarks.where`), in colours and
     in clay: pictures of each, for crops that the landmark network takes for a face; those are looked at from
     several sides, and again by the network of many landmarks. Each landmark is where the rays through it meet, brought
-    onto the surface. Those whose rays disagree, or meet off the surface, are left out. It needs torch.
+    onto the surface. Those whose rays disagree, or meet off the surface, are left out.
 
     :param draw: draws a surface: ``(look, view) -> picture, depth``, like `facepipe.pictures.surface_view.draw_surface`
     :param component: name of the only mesh, object or group of the file that is looked at
@@ -137,9 +136,8 @@ class FindScanLandmarks:
         """Search `scan`.
 
         :raises FitError: no face on it, or several
-        :raises InputError: no surface, no such component, or no torch
+        :raises InputError: no surface, or no such component
         """
-        import facepipe.rig.torch  # noqa: F401  (asked for before the work, not in the middle of it)
         from facepipe.networks.files import own_landmark_session
 
         surface = looked_at(scan, self.component)

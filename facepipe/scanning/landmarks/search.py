@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.coarse_surface import Look, part_look
-from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
+from facepipe.geometry.face_crops import bilinear, face_crop, from_crop, turned_crop
 from facepipe.geometry.landmarks import MIRRORED
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 
@@ -295,29 +295,14 @@ class _Picture:
         """
         :param pixels: (h, h, 3), h even
         """
-        from facepipe.rig.torch import torch
-
-        self.count = len(pixels)
-        whole = np.ascontiguousarray(np.moveaxis(np.asarray(pixels, np.float32), 2, 0))
-        half = sum(whole[:, row::2, column::2] for row in (0, 1) for column in (0, 1)) / 4
-        self._levels = torch.as_tensor(whole)[None], torch.as_tensor(np.asarray(half, np.float32))[None]
+        whole = np.asarray(pixels, np.float32)
+        half = sum(whole[row::2, column::2] for row in (0, 1) for column in (0, 1)) / 4
+        self._levels = whole, np.asarray(half, np.float32)
 
     def crops(self, matrices: FloatArray, size: int) -> FloatArray:
         """(k, 3, size, size) float32 by matrices (k, 2, 3), bilinear; outside, the picture's border."""
-        from facepipe.rig.torch import torch
-
-        coarse = np.linalg.norm(matrices[:, :, 0], axis=1) > _COARSE
         crops = np.empty((len(matrices), 3, size, size), np.float32)
-        center = np.arange(size, dtype=np.float32) + 0.5
-        for level, chosen in zip(self._levels, (~coarse, coarse), strict=True):
-            if not chosen.any():
-                continue
-            # (k, 2, size, size) x and y of every pixel, -1 to 1 over the picture
-            scaled = np.asarray(2 * matrices[chosen] / self.count, np.float32)[..., None, None]
-            across, down, start = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
-            places = across * center[None, :] + (down * center[:, None] + (start - 1))
-            places, count = np.ascontiguousarray(np.moveaxis(places, 1, 3)), len(scaled)
-            grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
-            found = torch.nn.functional.grid_sample(level, grid, "bilinear", "border", align_corners=False)
-            crops[chosen] = found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy()
+        for crop, matrix in zip(crops, matrices, strict=True):
+            halved = int(np.linalg.norm(matrix[:, 0]) > _COARSE)
+            crop[:] = bilinear(self._levels[halved], matrix / (1 + halved), size).transpose(2, 0, 1)
         return crops

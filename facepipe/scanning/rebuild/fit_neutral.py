@@ -170,10 +170,7 @@ def fit_neutral(
     solver = options.registration
     solver, stages = replace(solver, scale=solver.scale and not roughly), STAGES[:2] if roughly else STAGES
     try:
-        registered = register(surface, target, anchors, start, solver, progress, shown, stages)
-        if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
-            solver = replace(solver, scale=False)
-            registered = register(surface, target, anchors, start, solver, progress, shown, stages)
+        registered = register(surface, target, anchors, start, solver, progress, shown, stages, _ODD_SIZE)
     except FitError as error:
         raise error.under(scan.name) from None
     lines = (*scan.warnings, *mended)
