@@ -10,6 +10,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 
 _NO_COMPONENT = 1e-10  # of the largest deviation: rounding, no component
+_NEARLY_NONE = 1e-3  # of the largest deviation: components of shorter ones would be square by less than 10 digits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,16 +77,24 @@ class IdentityModel:
 
 
 def _from_spread(mean: FloatArray, spread: FloatArray, count: int) -> IdentityModel:
-    """Components of rows whose second moments are the faces'."""
-    _, lengths, directions = np.linalg.svd(spread, full_matrices=False)
+    """Components of rows whose second moments are the faces'.
+
+    By the rows' products with each other, a fifth of the time of their singular values (0.2 s of 100 modes of the head
+    in the box); these are left to what is nearly dependent, since products square how much rounding counts.
+    """
+    squares, turns = np.linalg.eigh(spread @ spread.T)
+    lengths = np.sqrt(np.maximum(squares[::-1], 0.0))
     if not lengths[0] > 0:
         raise InputError("identity model", "all faces are the same, expected different ones")
-    kept = lengths > _NO_COMPONENT * lengths[0]
-    flat = directions[kept]
+    if lengths[-1] > _NEARLY_NONE * lengths[0]:
+        flat = (turns[:, ::-1] / lengths).T @ spread
+    else:
+        _, lengths, directions = np.linalg.svd(spread, full_matrices=False)
+        lengths, flat = (values[lengths > _NO_COMPONENT * lengths[0]] for values in (lengths, directions))
     signs = np.sign(flat[np.arange(len(flat)), np.abs(flat).argmax(axis=1)])
     return IdentityModel(
         mean=mean.reshape(-1, 3),
         components=(flat * signs[:, None]).reshape(len(flat), -1, 3),
-        deviations=lengths[kept] / np.sqrt(count - 1),
+        deviations=lengths / np.sqrt(count - 1),
         count=count,
     )

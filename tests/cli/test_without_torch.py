@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from small_head import make
-from solids import ball
 from without_torch import HINT, without_torch
 
 from facepipe.stage import save_parts
@@ -14,19 +13,15 @@ from facepipe.stage import save_parts
 
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """face.usdc, scan.obj."""
+    """face.usdc."""
     folder = tmp_path_factory.mktemp("studio")
     save_parts(make(0), folder / "face.usdc")
-    points, triangles = ball(2)
-    lines = [*(f"v {x} {y} {z}" for x, y, z in points), *(f"f {a} {b} {c}" for a, b, c in triangles + 1)]
-    (folder / "scan.obj").write_text("\n".join(lines) + "\n")
     return folder
 
 
 @pytest.mark.parametrize(
     "words",
     [
-        "scan-landmarks scan.obj -o marks.json",
         "train-photo face.usdc -o start.onnx",
         "neural-rig train face.usdc -o rig.fpnr",
         "export face.usdc --sliders --distil -o sliders.onnx",
@@ -36,4 +31,4 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_is_one_line(studio: Path, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(studio)
     assert without_torch(*words.split()) == (2, HINT)
-    assert {one.name for one in studio.iterdir()} == {"face.usdc", "scan.obj"}
+    assert {one.name for one in studio.iterdir()} == {"face.usdc"}

@@ -258,7 +258,7 @@ def test_a_step_is_the_least_squares_solution() -> None:
     rng = np.random.default_rng(4)
     surface = _surface(7, precision=np.full(4, 2.0), expected=rng.normal(size=4))
     first, second = _random_pull(surface, rng, 0, scale=True), _random_pull(surface, rng, 3, scale=False)
-    membrane = Membrane.on_surface(surface, np.ones(len(surface.base)), 1.0)
+    membrane = Membrane.on_surface(surface, np.ones(len(surface.base)), 1.0, [first.spread, second.spread])
     step = solve_step(surface, membrane, [first, second])
 
     rows = _dense_rows(surface, first, 0, 9), _dense_rows(surface, second, 7, 0)

@@ -126,7 +126,9 @@ class _State:
         self._areas = point_areas(surface.base, surface.triangles)
         around = means_around(surface.base, surface.triangles)
         self._views = [ViewState(view, surface, around, options) for view in views]
-        self._membrane = Membrane.on_surface(surface, self._areas, options.membrane)
+        self._membrane = Membrane.on_surface(
+            surface, self._areas, options.membrane, [view.spread for view in self._views]
+        )
         self.coefficients = surface.expected.copy()
         self.residual = np.zeros_like(surface.base)
 

@@ -22,9 +22,8 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError
-from facepipe.geometry.change_smoothness import sparse_blocks
 from facepipe.geometry.closest_points import closest_places
-from facepipe.geometry.factor import Factor, factorise
+from facepipe.geometry.dissection import Dissection, FrontalFactor
 from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.options import RegistrationOptions
 from facepipe.geometry.polygons import point_normals
@@ -66,12 +65,17 @@ def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[P
     """The least-squares step of all unknowns."""
     rows = [_Rows.from_pull(surface, pull) for pull in pulls]
     system = _System.from_rows(surface, rows)
-    right = np.zeros((3 * len(surface.base), 1 + system.count))
-    for row, columns in zip(rows, system.columns, strict=True):
-        right[:, columns] += row.right(len(surface.base))
-    solved = membrane.factor(pulls).solve(right)
-    unknown = system.solve(right.T @ solved)
-    residual = solved[:, 0] - solved[:, 1:] @ unknown
+    if len(rows) == 1:
+        right = rows[0].right(len(surface.base))
+    else:
+        right = np.zeros((3 * len(surface.base), 1 + system.count))
+        for row, columns in zip(rows, system.columns, strict=True):
+            right[:, columns] += row.right(len(surface.base))
+    # R^T K^-1 R is a product of L^-1 R with itself: all but one right-hand side are solved halfway
+    factor = membrane.factor(pulls)
+    halfway = factor.forward(right)
+    unknown = system.solve(halfway.T @ halfway)
+    residual = factor.backward(halfway[:, :1] - halfway[:, 1:] @ unknown[:, None])
     return system.step(unknown, residual.reshape(surface.base.shape))
 
 
@@ -119,8 +123,9 @@ class _Rows:
         pull, sides = self.pull, np.zeros((count, 3, self.planes.shape[1]))
         weighted = pull.weights[:, None] * self.planes
         sides[pull.seen] = pull.matches.normals[:, :, None] * weighted[:, None, :]
-        anchored = pull.anchor_weights[:, None, None] * self.fixed
-        sides += (pull.spread.T @ anchored.reshape(len(anchored), -1)).reshape(sides.shape)
+        anchored, near = pull.anchor_weights[:, None, None] * self.fixed, np.unique(pull.spread.indices)
+        drawn = pull.spread[:, near].T @ anchored.reshape(len(anchored), -1)
+        sides[near] += drawn.reshape(len(near), *sides.shape[1:])
         return sides.reshape(3 * count, -1)
 
 
@@ -192,12 +197,16 @@ class Membrane:
     """A residual's own stiffness, and how systems of it with pulls on top are solved."""
 
     stiffness: Any  # (n, n) sparse, the same for each axis
+    dissection: Dissection
 
     @classmethod
-    def on_surface(cls, surface: DeformableSurface, areas: FloatArray, stiffness: float) -> Membrane:
+    def on_surface(
+        cls, surface: DeformableSurface, areas: FloatArray, stiffness: float, spreads: Sequence[Any]
+    ) -> Membrane:
         """A membrane on the base, at rest where nothing pulls.
 
         :param areas: (n,) of the points, mm^2
+        :param spreads: of the pulls that there will be
         """
         from scipy.sparse import diags_array
 
@@ -205,9 +214,11 @@ class Membrane:
         differences = incidence(pairs, len(surface.base))
         resting = np.maximum(surface.held * areas, 1e-4 * max(float(areas.mean()), np.finfo(np.float64).tiny))
         bending = stiffness * (differences.T @ diags_array(weights) @ differences)
-        return cls(stiffness=bending + diags_array(resting))
+        own = bending + diags_array(resting)
+        pattern = sum((abs(spread).T @ abs(spread) for spread in spreads), start=abs(own))
+        return cls(stiffness=own, dissection=Dissection(pattern, surface.base))
 
-    def factor(self, pulls: Sequence[Pull]) -> Factor:
+    def factor(self, pulls: Sequence[Pull]) -> FrontalFactor:
         """The factor of the system (3n, 3n) of the residual, axes of a point side by side.
 
         ``K = kron(stiffness + sum_l a_l s_l s_l^T, 1) + diag(w_i n_i n_i^T)`` of matches with normals n, and of anchors
@@ -220,7 +231,7 @@ class Membrane:
             normals = pull.matches.normals
             blocks[pull.seen] += pull.weights[:, None, None] * normals[:, :, None] * normals[:, None, :]
             shared = shared + pull.spread.T @ diags_array(pull.anchor_weights) @ pull.spread
-        return factorise(sparse_blocks(blocks, shared))
+        return self.dissection.factor(shared, blocks)
 
 
 @dataclass(frozen=True, kw_only=True)
