@@ -155,6 +155,7 @@ def _opened(action: StageAction[Any]) -> Iterator[tuple[Face, bool]]:
         made = Path(folder) / f"{path.stem or 'face'}.usdc"  # the working folder, ".", has no name
         with apart():
             save_parts(parts, made)
+        del parts, made_base  # 60 MB of the built-in head, while the action works
         opened = open_face(made)
         opened.warnings = warnings
         yield opened, True

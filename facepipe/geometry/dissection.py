@@ -102,7 +102,7 @@ class Dissection:
                 rest[later[:, None], later] += more[here:, here:]
             del rests[len(rests) - len(front.within) :]
             lower.append(np.linalg.cholesky(panel[:own]))
-            below.append(dtrsm(1.0, lower[-1].T, panel[own:].T, trans_a=1, overwrite_b=1))
+            below.append(dtrsm(1.0, lower[-1].T, panel[own:].T, trans_a=1))
             rests.append(dsyrk(-1.0, below[-1], 1.0, rest.T, trans=1, overwrite_c=1).T if len(rest) else rest)
         return FrontalFactor(order=_axes(self.order), fronts=tuple(self._fronts), lower=lower, below=below)
 

@@ -179,6 +179,7 @@ def onnx_session(data: bytes) -> Any:
     settings = ort.SessionOptions()
     settings.intra_op_num_threads = 1
     settings.log_severity_level = 4
+    settings.enable_cpu_mem_arena = False
     return ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
 
 

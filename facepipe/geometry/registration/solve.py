@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -126,15 +127,13 @@ class _State:
         self._areas = point_areas(surface.base, surface.triangles)
         around = means_around(surface.base, surface.triangles)
         self._views = [ViewState(view, surface, around, options) for view in views]
-        self._membrane = Membrane.on_surface(
-            surface, self._areas, options.membrane, [view.spread for view in self._views]
-        )
         self.coefficients = surface.expected.copy()
         self.residual = np.zeros_like(surface.base)
 
-    @property
-    def points(self) -> FloatArray:
-        return self._surface.points(self.coefficients, self.residual)
+    @cached_property
+    def _membrane(self) -> Membrane:
+        spreads = [view.spread for view in self._views]
+        return Membrane.on_surface(self._surface, self._areas, self._options.membrane, spreads)
 
     @property
     def growth(self) -> float:
@@ -144,6 +143,7 @@ class _State:
     @one_thread()
     def advance(self, stages: Sequence[Stage], progress: Callable[[int], None], growth: float = np.inf) -> int:
         """Take the steps of all stages, how many; up to one after which a scan has grown or shrunk by more."""
+        self._points = self._surface.points(self.coefficients, self.residual)
         return in_stages(stages, self._advance, progress, lambda: self.growth > growth)
 
     @one_thread()
@@ -153,7 +153,7 @@ class _State:
 
     def _advance(self, stage: Stage) -> float:
         """Take one step; the RMS movement of seen points against the first scan, in millimetres."""
-        before, all_seen = self.points, self._surface.seen
+        before, all_seen = self._points, self._surface.seen
         by_model = stage.by_model and len(self.coefficients) >= _ENOUGH_MODES
         surface = self._some if by_model else self._surface
         share = len(all_seen) / max(len(surface.seen), 1)  # each stands for its neighbours too
@@ -168,5 +168,6 @@ class _State:
         self.coefficients, self.residual = step.coefficients, step.residual
         for view, move, weights in zip(self._views, step.moves, step.weights, strict=True):
             view.advance(move, weights)
-        moved = self.points[all_seen] - step.moves[0].apply(before[all_seen])
+        self._points = self._surface.points(self.coefficients, self.residual)
+        moved = self._points[all_seen] - step.moves[0].apply(before[all_seen])
         return float(np.sqrt((moved**2).sum(axis=1).mean()))
