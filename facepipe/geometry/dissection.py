@@ -16,6 +16,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 _LEAF = 64  # points that are not cut in halves
+_COLUMNS = 96  # of what is left of a front at a time, of each those below the diagonal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +100,9 @@ class Dissection:
                 here = int(np.searchsorted(within, own))
                 later = within[here:] - own
                 panel[within[:, None], within[:here]] += more[:, :here]
-                rest[later[:, None], later] += more[here:, here:]
+                for first in range(0, len(later), _COLUMNS):
+                    columns = slice(first, first + _COLUMNS)
+                    rest[later[first:, None], later[columns]] += more[here + first :, here:][:, columns]
             del rests[len(rests) - len(front.within) :]
             lower.append(np.linalg.cholesky(panel[:own]))
             below.append(dtrsm(1.0, lower[-1].T, panel[own:].T, trans_a=1))

@@ -122,7 +122,8 @@ class _Rows:
         """(3n, 1 + k + q) of the residual's equations."""
         pull, sides = self.pull, np.zeros((count, 3, self.planes.shape[1]))
         weighted = pull.weights[:, None] * self.planes
-        sides[pull.seen] = pull.matches.normals[:, :, None] * weighted[:, None, :]
+        for axis, along in enumerate(pull.matches.normals.T):
+            sides[pull.seen, axis] = along[:, None] * weighted
         anchored, near = pull.anchor_weights[:, None, None] * self.fixed, np.unique(pull.spread.indices)
         drawn = pull.spread[:, near].T @ anchored.reshape(len(anchored), -1)
         sides[near] += drawn.reshape(len(near), *sides.shape[1:])

@@ -25,7 +25,7 @@ from facepipe.scanning.rebuild.declared import UNITS, FitNeutralOptions, Judged
 from facepipe.scanning.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
 from facepipe.scanning.rebuild.template import Template, carried_over, expression_of, shown_prior
 from facepipe.scans import Scan, ScanLandmarks
-from facepipe.verbs.skin.surface import points_between, smoothstep, surface_of
+from facepipe.verbs.skin.surface import points_between, smoothstep
 
 _SHUT = 0.21  # of an eye's width, that lids' landmarks are apart; those found on a real scan's shut eyes are 0.2
 _SEALED = 0.03  # of the mouth's width, that lips' landmarks are apart
@@ -61,7 +61,7 @@ def with_sealed_lips(template: Template, points: FloatArray) -> FloatArray:
 
     The rims of sealed lips lie in a crease, where no point of the scan faces as they do.
     """
-    surface = surface_of(template.parts, template.where)
+    surface = template.surface
     assert surface.landmarks is not None
     rims = [points_between(surface, surface.landmarks[list(marks)]) for marks in (_UPPER, _LOWER)]
     above, below = graph_distances(surface.graph, rims)[:, surface.group]
@@ -180,7 +180,8 @@ def fit_neutral(
 
 def identity_surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
     """The template's skin by the identity model."""
-    modes = identity.components[:, template.rows] * identity.deviations[:, None, None]
+    modes = identity.components[:, template.rows]
+    modes *= identity.deviations[:, None, None]
     return DeformableSurface(
         base=identity.mean[template.rows],
         modes=modes,

@@ -121,7 +121,7 @@ class FittingAction(TemplateAction):
             bar.update()
         template, own = Template.of(parts, where), bare_head(parts)
         # Fitted without hair and lashes, which go with the skin after it.
-        body, database = people_of(template, None if self.database is None else load_database(self.database))
+        body, database = people_of(template, None if self.database is None else load_database(self.database), own)
         scan, landmarks, notes, photos = self.given(job)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.fitted), job.watch("fit", _STEPS) as bar:

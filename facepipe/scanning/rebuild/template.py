@@ -19,11 +19,10 @@ from facepipe.geometry.vectors import group_sums
 from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe, all_regions
 from facepipe.scanning.database import FaceDatabase
-from facepipe.verbs.skin.surface import slits_of, surface_of
+from facepipe.verbs.skin.surface import Surface, slits_of, surface_of
 from facepipe.verbs.whole_faces import Topology, whole_face, whole_points
 
 _DIRECTIONS = 60
-_TRIANGLE_SAMPLES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, 1 / 3]])  # of a triangle
 _CELLS_ACROSS = 100  # across the surface: wider than the gaps between samples
 _DEPTH_SLACK = 0.012  # of the surface's size, in depth
 _FACING_COSINE = 0.1  # cosine between a point's normal and the direction that it is seen from
@@ -38,13 +37,15 @@ _SIDES_WRITTEN = (("_L", "Left"), ("Left", "_L"), ("_R", "Right"), ("Right", "_R
 def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
     """(n,) points that some of 60 directions all around sees from the front, with every triangle opaque.
 
-    Depth maps of samples of the triangles, so that gaps much thinner than the surface (lips, lids) are closed.
+    Depth maps of the triangles' corners and middles, so that gaps much thinner than the surface (lips, lids) are closed.
 
     :param points: (n, 3)
     :param triangles: (t, 3), oriented outward
     """
     normals = point_normals(points, triangles)
-    samples = np.einsum("sc,tci->tsi", _TRIANGLE_SAMPLES, points[triangles]).reshape(-1, 3)
+    used = np.zeros(len(points), bool)
+    used[triangles.ravel()] = True
+    samples = np.concatenate([points[used], points[triangles].mean(axis=1)])
     size = float(np.ptp(samples, axis=0).max()) or 1.0
     seen = np.zeros(len(points), bool)
     # (count, 3) directions spread evenly (a Fibonacci spiral)
@@ -68,8 +69,6 @@ def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
         nearest = np.full(int(shape.prod()), -np.inf)
         np.maximum.at(nearest, of_samples, samples @ towards)
         seen[facing] = points[facing] @ towards >= nearest[of_points] - _DEPTH_SLACK * size
-    used = np.zeros(len(points), bool)
-    used[triangles.ravel()] = True
     return seen & used
 
 
@@ -85,7 +84,7 @@ class Template:
     row_of: IntArray  # (n,) row of each whole point, -1 on loose parts
     triangles: IntArray  # (t, 3) of rows
     landmarks: IntArray  # (68,) rows
-    labels: IntArray  # (m,) +a and -a are the upper and lower side of a slit, 0 neither
+    surface: Surface  # that the rows are of
 
     @classmethod
     def of(cls, parts: FaceParts, where: str) -> Template:
@@ -98,10 +97,6 @@ class Template:
             raise InputError(where, "has no multipie68 landmarks, expected 68 (facepipe landmarks)")
         row_of_sewn = np.full(len(surface.points), -1)
         row_of_sewn[surface.inside] = np.arange(len(surface.inside))
-        labels = np.zeros(len(surface.points), np.int64)  # of the sewn points
-        for number, slit in enumerate(slits_of(surface), start=1):
-            near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
-            labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
         # One row for all points of a cut: with a row each, a fit could open it.
         first = np.unique(surface.group, return_index=True)[1]
         return cls(
@@ -113,8 +108,17 @@ class Template:
             row_of=row_of_sewn[surface.group],
             triangles=surface.part_triangles(surface.inside),
             landmarks=row_of_sewn[surface.landmarks],
-            labels=labels[surface.inside],
+            surface=surface,
         )
+
+    @cached_property
+    def labels(self) -> IntArray:
+        """(m,) +a and -a are the upper and lower side of a slit, 0 neither."""
+        labels = np.zeros(len(self.surface.points), np.int64)  # of the sewn points
+        for number, slit in enumerate(slits_of(self.surface), start=1):
+            near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
+            labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
+        return labels[self.surface.inside]
 
     def body(self, topology: Topology) -> Template:
         """The template without the meshes that faces of `topology` lack: hair and lashes, which go with the skin.

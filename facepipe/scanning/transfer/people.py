@@ -9,6 +9,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.similarity import fit_similarity
+from facepipe.parts import FaceParts
 from facepipe.scanning.database import FaceDatabase
 from facepipe.scanning.rebuild.built_in_head import bare_head, of_nobody, people
 from facepipe.scanning.rebuild.declared import UNITS
@@ -21,16 +22,19 @@ _TURNED = 30.0  # degrees: heads that look down or aside a little are none the w
 _LARGE = 2.0  # times: children have 0.7 of the size, and an inch is 2.5 centimetres
 
 
-def people_of(template: Template, database: FaceDatabase | None = None) -> tuple[Template, FaceDatabase]:
+def people_of(
+    template: Template, database: FaceDatabase | None = None, own: FaceParts | None = None
+) -> tuple[Template, FaceDatabase]:
     """The template without hair and lashes, which people of a database lack, and who its people may be.
 
     :param database: None: those of the built-in head, carried over where the template has another topology
+    :param own: `bare_head` of the template, where it is known
     :raises InputError: a template in another place or unit than its people
     :raises TopologyError: another topology than that of the database
     :raises FitError: a template that shows no face
     """
-    own = bare_head(template.parts)
     if database is None:
+        own = own or bare_head(template.parts)
         database = people_on(template) if own is None else people(own)
     body = template.body(database.topology)
     check_place(body, database.identity.mean[body.rows[body.landmarks]])

@@ -17,7 +17,7 @@ from facepipe.geometry.geodesics import graph_distances, surface_graph
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scanning.transfer.mesh import HeadMesh
 from facepipe.scanning.transfer.places import Places
-from facepipe.verbs.skin.surface import slits_of, surface_of
+from facepipe.verbs.skin.surface import slits_of
 
 _SURE = (0.12, 0.45)  # of a slit's width from its rims: there points are on a side without doubt
 _BESIDE = 0.3  # of a slit's width: difference of the distances from its rims, up to which a point is beside a corner
@@ -37,7 +37,7 @@ class Banks(NamedTuple):
 
 def banks_of(template: Template) -> list[Banks]:
     """Those of the mouth, the right eye and the left one."""
-    surface = surface_of(template.parts, template.where)
+    surface = template.surface
     sewn = surface.group[template.rows]
     seen = np.zeros(len(sewn), bool)
     seen[template.seen] = True
