@@ -99,7 +99,8 @@ def test_faces_unlike_any_that_the_network_knows_are_face_throughout() -> None:
 
 def test_crops_without_torch_are_those_of_torch() -> None:
     image = np.random.default_rng(0).random((90, 70, 3)).astype(np.float32)
-    for side in (30.0, 150.0):  # enlarged, and reduced with what is outside
-        matrix = turned_crop(face_crop(TEMPLATE * side + 5.0, 40), 0.2, 1.1, 40)
-        expected = sample_crop(torch.as_tensor(image), matrix, 40)[0].permute(1, 2, 0).numpy()
-        np.testing.assert_allclose(plain_crop(image, matrix, 40), expected, atol=2e-3)
+    for side in (30.0, 150.0, 900.0):  # enlarged, reduced with what is outside, and reduced to averages
+        for turn in (0.2, 0.0, np.pi / 2, np.pi, -np.pi / 2):  # aslant, and with rows that stay rows or columns
+            matrix = turned_crop(face_crop(TEMPLATE * side + 5.0, 40), turn, 1.1, 40)
+            expected = sample_crop(torch.as_tensor(image, dtype=torch.float64), matrix, 40)[0].permute(1, 2, 0).numpy()
+            np.testing.assert_allclose(plain_crop(image, matrix, 40), expected, atol=1e-6)

@@ -3,7 +3,7 @@
 SCAN is a head, a whole body or a point cloud, in any pose and unit, with colours or without: .ply .obj .stl .off .glb
 .gltf .vrm .fbx or USD. facepipe's own network searches pictures of it, in colours and in clay: of what the head's joint
 carries, of the top of a body, of connected pieces, from all around. Landmarks are in the coordinates of SCAN, null
-where views disagree. It needs `pip install 'facepipe[train]'`. Exit code 1: done, but some landmarks are null.
+where views disagree. Exit code 1: done, but some landmarks are null.
 
 examples:
   facepipe scan-landmarks neutral.ply -o neutral.landmarks.json --picture neutral.png

@@ -4,8 +4,8 @@ SCAN is a mesh or a cloud of points (.ply .obj .stl .off .glb .gltf or USD), of 
 A folder of photos around a face is scanned first, as `facepipe scan` does by default (`pip install 'facepipe[scan]'`).
 Without --template it becomes the built-in head, textured and ready for use: with -o person.glb for the engine at once.
 Eyes, teeth and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the
-scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
-which needs `pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
+scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan.
+{"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
 
 The neutral has open eyes and a mouth at rest. Shut eyes are seen by their landmarks and opened. Where SCAN shows
 something else, --weights says so with the template's shapes; the neutral is without them, the picture with them.

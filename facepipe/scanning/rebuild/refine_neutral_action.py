@@ -2,8 +2,8 @@
 
 NEUTRAL is a face stage of `facepipe fit-neutral`, corrected by hand or not; SCAN is the scan that it was fitted to. The
 scan is placed on the neutral by landmarks, then by the surface; landmarks are read from --landmarks, else from SCAN's
-name with .landmarks.json, else found on the scan, which needs `pip install 'facepipe[train]'`. Then points go to the
-scan, each triangle changed like its neighbours.
+name with .landmarks.json, else found on the scan. Then points go to the scan, each triangle changed like its
+neighbours.
 
 --region names soft masks of the face (`facepipe regions` lists them): points outside stay exactly where they are, those
 at the border go part of the way. Without it all of the face may follow. Eyes and teeth go with the skin around them

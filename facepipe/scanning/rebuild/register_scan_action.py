@@ -2,9 +2,8 @@
 
 SCAN is a mesh or a cloud of points, of any pose and unit. --weights says what it shows, or the name of a composite does
 (default: SCAN's name): jaw_open, smile, laugh, brows_up ... as docs/rebuild.md lists them. From there the weights are
-found anew. Landmarks are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
-which needs `pip install 'facepipe[train]'`. With the neutral's scan, painted markers that both have are followed, and
-scans of one size stay so.
+found anew. Landmarks are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan.
+With the neutral's scan, painted markers that both have are followed, and scans of one size stay so.
 
 OUT is an override layer over --personal with the expression as a shape called --name; `facepipe split-shapes` takes
 it, as it is or corrected by hand. Exit code 1: done, but the face lies on the scan worse than the quality gate of

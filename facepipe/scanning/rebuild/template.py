@@ -37,7 +37,7 @@ _SIDES_WRITTEN = (("_L", "Left"), ("Left", "_L"), ("_R", "Right"), ("Right", "_R
 def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
     """(n,) points that some of 60 directions all around sees from the front, with every triangle opaque.
 
-    Depth maps of the triangles' corners and middles, so that gaps much thinner than the surface (lips, lids) are closed.
+    Depth maps of triangles' corners and middles, so that gaps much thinner than the surface (lips, lids) are closed.
 
     :param points: (n, 3)
     :param triangles: (t, 3), oriented outward

@@ -6,7 +6,7 @@ becomes the built-in head, textured and ready for use: with -o head.glb for the 
 the other way round: the head keeps its own mesh.
 
 Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
-else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
+else they are those of HEAD itself, else they are found on it.
 
 OUT is an override layer over --template; --flatten writes a standalone file, as one on the built-in head is. --without
 leaves meshes of the template out of it. --picture shows head, face and their distance. Exit code 1: done, but a limit

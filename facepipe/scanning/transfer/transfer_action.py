@@ -6,7 +6,7 @@ usual name is not made again, unless --replace is given. Without --from the shap
 FACE of another topology gets how people differ by a fit of the built-in head to it first, for 10 to 20 s more.
 
 Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
-else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
+else they are those of HEAD itself, else they are found on it.
 
 OUT is an override layer over HEAD where that is a stage; --flatten, --cut-mouth and any other HEAD give a standalone
 one. What can't be made is named, shape by shape: blinks of painted eyes, a tongue that is not there. Exit code 1: done,
