@@ -104,8 +104,8 @@ def plain_crop(image: Float32Array, matrix: FloatArray, size: int) -> Float32Arr
 def bilinear(image: Float32Array, matrix: FloatArray, size: int) -> Float32Array:
     """(size, size, c) the crop of an image (h, w, c); what lies outside has the colour of its nearest border pixel.
 
-    scipy's `affine_transform` takes 3 times as long, and 8 times where rows and columns stay such, as in most crops that
-    a search looks at: those are mixed one axis after the other.
+    scipy's `affine_transform` takes 3 times as long, and 8 times where rows and columns stay such, as in most crops
+    of a search: those are mixed one axis after the other.
 
     :param matrix: (2, 3) from crop pixels to image pixels
     """
