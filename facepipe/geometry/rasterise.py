@@ -195,7 +195,8 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
     determinant = (planes[0] * np.stack(corners[0])).sum(axis=0)
     scale = np.abs(planes).max(axis=(0, 1)) * np.where(determinant < 0, -1.0, 1.0)
     planes /= np.where(scale == 0, 1.0, scale)
-    over_depth = np.stack([np.maximum(a.take(which) * x + b.take(which) * y + c.take(which), 0.0) for a, b, c in planes])
+    at_places = (a.take(which) * x + b.take(which) * y + c.take(which) for a, b, c in planes)
+    over_depth = np.stack([np.maximum(one, 0.0) for one in at_places])
     total = over_depth[0] + over_depth[1] + over_depth[2]
     thin = total <= 0
     over_depth[:, thin], total[thin] = 1.0, 3.0
