@@ -19,7 +19,6 @@ import numpy.typing as npt
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unknown
-from facepipe.geometry.rasterise import expand
 from facepipe.geometry.vectors import transformed, transformed_each
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.bone_coefficients import coefficient_matrices
@@ -107,6 +106,8 @@ class Rig:
 
     def part(self, points: IntArray) -> Rig:
         """The rig of some of the points only, as one mesh, each as often as it is named."""
+        from facepipe.geometry.rasterise import expand
+
         order = np.argsort(points, kind="stable")
         first, after = (np.searchsorted(points[order], np.arange(len(self.points)), side) for side in ("left", "right"))
         targets: list[Target] = []
