@@ -7,7 +7,6 @@ usage: rebuild_sides.py --side prepare SEED DATA TASK REPORT
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import time
 from dataclasses import dataclass, fields
@@ -161,8 +160,6 @@ def facepipe_fit(mesh: str, path: str) -> Json:
 
     from facepipe.geometry.registration import Anchors, DeformableSurface, ScanTarget, register
 
-    with contextlib.suppress(ImportError):
-        import cholespy  # noqa: F401
     task = RebuildTask.load(path)
     task = task.face_alone() if mesh == "face" else task
     before, clock = peak_memory(), Clock()
