@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
-from facepipe.geometry.polygons import point_normals, triangulate
+from facepipe.geometry.polygons import point_normals, touching, triangulate
 from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.records import Json
 from facepipe_gltf.buffers import Encoded, Encoding, Extent, Influences, Rows, decode, limit, require_finite
@@ -327,9 +327,9 @@ def _with_normals(sculpts: Sequence[Sculpt], points: FloatArray, triangles: IntA
         moved = np.zeros(len(neutral), np.bool_)
         moved[sculpt.point_indices] = True
         turned = moved.copy()  # the neighbours of moved points turn too
-        turned[triangles[_touching(triangles, moved)]] = True
+        turned[triangles[touching(triangles, moved)]] = True
         rows = np.flatnonzero(turned)
-        change = (point_normals(neutral + offsets, triangles[_touching(triangles, turned)]) - normals)[rows]
+        change = (point_normals(neutral + offsets, triangles[touching(triangles, turned)]) - normals)[rows]
         x, y, z = np.abs(change).T
         same = (x < _SAME) & (y < _SAME) & (z < _SAME)
         change[same] = 0.0
@@ -339,12 +339,6 @@ def _with_normals(sculpts: Sequence[Sculpt], points: FloatArray, triangles: IntA
             replace(sculpt, point_indices=points_kept, offsets=offsets[points_kept], normal_offsets=change[kept])
         )
     return result
-
-
-def _touching(triangles: IntArray, points: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """(t,) triangles that have one of the flagged points."""
-    a, b, c = triangles.T
-    return np.asarray(points[a] | points[b] | points[c])
 
 
 @dataclass(frozen=True)

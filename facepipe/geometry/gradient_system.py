@@ -41,7 +41,7 @@ def incidence(edges: IntArray, point_count: int) -> Any:
 
 def edge_vectors(points: FloatArray, edges: IntArray) -> FloatArray:
     """(..., e, 3) vectors from the first to the second end of (e, 2) edges, of points (..., n, 3)."""
-    return np.asarray(points[..., edges[:, 1], :] - points[..., edges[:, 0], :])
+    return np.asarray(points.take(edges[:, 1], axis=-2) - points.take(edges[:, 0], axis=-2))
 
 
 def cotangent_weights(points: FloatArray, triangles: IntArray) -> tuple[IntArray, FloatArray]:

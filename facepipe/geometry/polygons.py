@@ -156,6 +156,14 @@ def small_holes(points: FloatArray, triangles: IntArray, largest: float) -> list
     return loops
 
 
+def touching(elements: IntArray, points: BoolArray) -> BoolArray:
+    """(t,) edges or triangles (t, k) that have a flagged point of (n,); numpy's `any` takes five times as long."""
+    found = points.take(elements[:, 0])
+    for corner in range(1, elements.shape[1]):
+        found |= points.take(elements[:, corner])
+    return np.asarray(found)
+
+
 def border_points(count: int, triangles: IntArray) -> IntArray:
     """The points (b,), of `count`, on edges of one triangle of an oriented manifold."""
     return np.array(sorted(_border_steps(triangles, count)), dtype=np.int64)

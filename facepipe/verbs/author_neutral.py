@@ -11,7 +11,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import TopologyError
 from facepipe.core.reports import Report
-from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.geometry.polygons import point_normals, point_triangles, touching
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
 from facepipe.geometry.vectors import group_sums, transformed
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Recipe, Skeleton
@@ -156,7 +156,7 @@ def _mesh_shapes(
         indices = np.flatnonzero(moving)
         if with_normals:
             # neighbours of points that move are there too: their normals turn
-            indices = np.union1d(indices, triangles[moving[triangles].any(axis=1)].ravel())
+            indices = np.union1d(indices, triangles[touching(triangles, moving)].ravel())
         if not len(indices) and held:
             indices = np.zeros(1, np.int64)  # USD reads a shape without indices as one over all points
         if len(indices):

@@ -15,7 +15,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.gradient_system import GradientSystem
 from facepipe.geometry.local_push import Demands, least_push
-from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.polygons import point_normals, touching
 from facepipe.verbs.blend.bodies import Body, LooseParts, Stand, Surface, Touching, find_bodies
 from facepipe.verbs.blend.folds import Folds
 from facepipe.verbs.blend.graph import Graph
@@ -100,7 +100,7 @@ class Contacts:
             for body in self.bodies
             if len(skin := body.skin if motion is None or moving[body.points].any() else body.skin[moving[body.skin]])
         ]
-        touched = self._graph.triangles[moving[self._graph.triangles].any(axis=1)]
+        touched = self._graph.triangles[touching(self._graph.triangles, moving)]
         folds = Folds(pose, [scene.source_poses[k] for k in range(len(self._stands))], touched)
         eyes: list[list[_Meeting | Folds]] = [[one] for one in meetings if one.body.ball is not None]
         # teeth, gums and lips together, which meet the same skin

@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.local_push import Demands
-from facepipe.geometry.polygons import triangle_normals, turned_triangles
+from facepipe.geometry.polygons import touching, triangle_normals, turned_triangles
 
 _AREA = 0.02  # of the nearest source's area: what a triangle that is turned back has
 _RINGS = 2  # of triangles around those turned over that are to stay as they face
@@ -58,7 +58,7 @@ class Folds:
         around, near = self.turned, np.zeros(len(self._pose), bool)
         for _ in range(_RINGS if len(around) else 0):
             near[self._triangles[around]] = True
-            around = np.flatnonzero(near[self._triangles].any(axis=1))
+            around = np.flatnonzero(touching(self._triangles, near))
         return around
 
     def _facing(self, watched: IntArray) -> Demands:

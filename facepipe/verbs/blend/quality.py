@@ -225,7 +225,7 @@ def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuali
     return ShapeQuality(
         moving=len(sculpt.points),
         static=len(offsets) - len(sculpt.points),
-        deviation=_deviation(lengths[moving[ends].any(axis=1)]),
+        deviation=_deviation(lengths),
         border_step_mm=float(lengths[border].max(initial=0.0)),
         flipped_triangles=solution.held[number].turned,
         largest_offset_mm=float(_lengths(solution.offsets[number], mm).max(initial=0.0)),
@@ -233,7 +233,8 @@ def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuali
 
 
 def _lengths(vectors: FloatArray, mm_per_unit: float) -> FloatArray:
-    return np.asarray(np.linalg.norm(vectors, axis=-1) * mm_per_unit)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.asarray(np.sqrt(x * x + y * y + z * z) * mm_per_unit)
 
 
 def _deviation(lengths: FloatArray) -> Deviation:

@@ -12,7 +12,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.core.tokens import SEAM_RESIDUAL
-from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.geometry.polygons import point_normals, point_triangles, touching
 from facepipe.geometry.vectors import group_sums, transformed, unit_vectors
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Recipe
 from facepipe.rig import mesh_spaces
@@ -69,7 +69,7 @@ def normal_offsets(
     """
     touched = np.zeros(len(points), dtype=bool)
     touched[point_indices] = True
-    near = triangles[touched[triangles].any(axis=1)]  # all that the normals asked for depend on
+    near = triangles[touching(triangles, touched)]  # all that the normals asked for depend on
     difference = point_normals(deformed, near)[point_indices] - point_normals(points, near)[point_indices]
     return np.asarray(difference)
 

@@ -14,6 +14,7 @@ from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.gradient_system import GradientSystem, MovingSystem, edge_vectors
+from facepipe.geometry.polygons import touching
 from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
 from facepipe.parts import Blendshape
@@ -406,7 +407,7 @@ class Expression:
         graph, bridges, points = self._graph, self._graph.bridges, self.sculpt.points
         if self._prepared is None:
             held = self._system.moving(self._moving) if self._hold_static else None
-            edges = held.edges if held else np.flatnonzero(self._moving[graph.edges].any(axis=1))
+            edges = held.edges if held else np.flatnonzero(touching(graph.edges, self._moving))
             across = held.bridges if held else np.arange(len(bridges.followers))
             ends = graph.edges[edges]
             self._prepared = _Prepared(
@@ -442,16 +443,16 @@ class Expression:
 
     def asked(self, shared: Shared) -> tuple[IntArray, FloatArray]:
         """Edges (q,) at moving points, and the blended vectors (q, 3) of the offsets that are asked of them."""
-        touching = np.flatnonzero(self._moving[self._graph.edges].any(axis=1))
-        ends = self._graph.edges[touching]
-        return touching, mix(shared.edge_shares[touching], self._vectors(ends[:, 0], ends[:, 1]))
+        edges = np.flatnonzero(touching(self._graph.edges, self._moving))
+        ends = self._graph.edges.take(edges, axis=0)
+        return edges, mix(shared.edge_shares.take(edges, axis=0), self._vectors(ends[:, 0], ends[:, 1]))
 
     def _vectors(self, start: IntArray, end: IntArray) -> FloatArray:
         """(K, q, 3) vectors of the sources' offsets from points to points."""
         place = np.full(len(self._moving), len(self.sculpt.points))  # static points: a row of zeros at the end
         place[self.sculpt.points] = np.arange(len(self.sculpt.points))
         padded = np.concatenate([self.sculpt.offsets, np.zeros((len(self.sculpt.offsets), 1, 3))], axis=1)
-        return np.asarray(padded[:, place[end]] - padded[:, place[start]])
+        return np.asarray(padded.take(place[end], axis=1) - padded.take(place[start], axis=1))
 
 
 @dataclass(frozen=True)
