@@ -385,9 +385,9 @@ class PhotoLight:
             return np.zeros((len(normals), 3), normals.dtype)
         towards = _towards(key).astype(normals.dtype)
         half = unit_vectors(towards_eye + towards)
-        grazing = 1 - np.clip(_dot(towards_eye, half), 0, 1)
+        grazing = 1 - np.clip(_dot(towards_eye.T, half.T), 0, 1)
         fresnel = _FACING + (1 - _FACING) * grazing**5
-        lobe = (key.exponent + 2) / 8 * np.maximum(_dot(normals, half), 1e-4) ** key.exponent
+        lobe = (key.exponent + 2) / 8 * np.maximum(_dot(normals.T, half.T), 1e-4) ** key.exponent
         matt = np.maximum(normals @ towards, 0.0) * arriving
         return np.asarray((key.shine * fresnel * lobe * matt)[:, None] * np.array(key.color, normals.dtype))
 
