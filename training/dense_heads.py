@@ -45,7 +45,7 @@ def person(rng: np.random.Generator, *, poses: int = _POSES, views: int = _VIEWS
     subject = (who.scanned if rng.random() < heads.SHARE_SCANS else who.dressed)(who.look, rng)
     rows, model = [], None
     for _ in range(poses):
-        scene = build_scene(subject.face, subject.pose(rng, _SQUINTS), SIZE, model and model.scene.textures)
+        scene = build_scene(subject.face, subject.pose(rng, _SQUINTS), SIZE, model and model.scene)
         if model is None:
             model = shared_card().load(scene)
         else:

@@ -48,10 +48,9 @@ def person(identity: int, rng: np.random.Generator, *, poses: int = 5, views: in
         return [_nothing(rng) for _ in range(views)]
     who = head_sources.Person(rng, by_sliders=rng.random() < SHARE_SLIDERS)
     subject = (who.scanned if rng.random() < SHARE_SCANS else who.dressed)(who.look, rng)
-    rows, textures = [], None
+    rows, scene = list[Arrays](), None
     for _ in range(poses):
-        scene = build_scene(subject.face, subject.pose(rng), scenes.SIZE, textures)
-        textures = scene.textures
+        scene = build_scene(subject.face, subject.pose(rng), scenes.SIZE, scene)
         for _ in range(views // poses):
             place = scenes.far_placement(rng) if rng.random() < _SHARE_FAR else scenes.near_placement(rng)
             rows.append(photo(scene, who.look, place, rng) | known(identity, who))

@@ -44,7 +44,7 @@ def person(rng: np.random.Generator) -> list[heads.Arrays]:
     subject = who.dressed(who.look, rng)
     values, rows, model = shares_at_points(subject.face, shaved=who.look.style == "bald"), [], None
     for _ in range(_POSES):
-        scene = build_scene(subject.face, subject.pose(rng), SIZE, model and model.scene.textures)
+        scene = build_scene(subject.face, subject.pose(rng), SIZE, model and model.scene)
         if model is None:
             model = shared_card().load(scene)
         else:
