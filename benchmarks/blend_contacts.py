@@ -52,9 +52,9 @@ _STEEPS = np.array(list(product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=3)))
 _WAYS = unit_vectors(_STEEPS[np.abs(_STEEPS).max(axis=1) == 1.0])
 _WITHIN = np.cos(np.radians(45.0))  # of straight back
 _OFF_MM = 0.02  # from skin, where it is asked whether that lies in flesh
-# Of a part: skin farther away is not looked at. It goes all the way down where it goes deeper; but 12 mm above that of
-# the chin lies the floor of the mouth, which faces up.
-_BEHIND_MM = 6.0
+# Of a part: skin farther away is not looked at. Sockets lie over 6 mm deep in eyeballs; skin that went deeper in teeth
+# and gums would be at 6 mm too, and 12 mm above that of the chin lies the floor of the mouth, which faces up.
+_BEHIND_MM = dict.fromkeys(EYEBALLS, 12.0) | dict.fromkeys(MOUTH, 6.0)
 
 _OUTSIDE_MM = 0.7  # of the plane at the nearest point
 
@@ -133,7 +133,7 @@ def deepest(session: BlendSession, solution: Solution) -> Figures:
             skin = skin[np.linalg.norm(sources.points[0, skin] - middle, axis=1) < reach]
         hard = np.unique(part)
         for shape, faces in _poses(solution, sources.points, mm, np.union1d(skin, hard)):
-            *theirs, own = (_depths(points, skin, hard, part) for points in faces)
+            *theirs, own = (_depths(points, skin, hard, part, _BEHIND_MM[name]) for points in faces)
             # of teeth the deepest points of each, as lips slide over them; of eyeballs the same point
             if name in MOUTH:
                 theirs, own = [depths.max(keepdims=True) for depths in theirs], own.max(keepdims=True)
@@ -216,12 +216,15 @@ def _poses(solution: Solution, sources: FloatArray, mm: float, watched: IntArray
             yield sculpt.name, [points * mm for points in posed]
 
 
-def _depths(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntArray) -> FloatArray:
-    """(s,) mm that the points `skin` (s,) lie inside the triangles (h, 3), whose points are `hard`; 0 outside."""
+def _depths(points: FloatArray, skin: IntArray, hard: IntArray, triangles: IntArray, behind: float) -> FloatArray:
+    """(s,) mm that the points `skin` (s,) lie inside the triangles (h, 3), whose points are `hard`; 0 outside.
+
+    :param behind: mm of the triangles within which skin is looked at
+    """
     surface, local = points[hard], np.searchsorted(hard, triangles)
     own, depths = point_normals(surface, local), np.zeros(len(skin))
     # what is far from the part, or clearly outside of the plane at its nearest point, is left out: it takes long
-    far, near = cKDTree(surface).query(points[skin], distance_upper_bound=_BEHIND_MM)
+    far, near = cKDTree(surface).query(points[skin], distance_upper_bound=behind)
     rows = np.flatnonzero(np.isfinite(far))
     beside = np.einsum("mi,mi->m", points[skin[rows]] - surface[near[rows]], own[near[rows]])
     rows = rows[beside < _OUTSIDE_MM]
