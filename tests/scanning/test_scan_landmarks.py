@@ -212,7 +212,6 @@ def finder() -> FindScanLandmarks:
     return FindScanLandmarks(draw=draw_surface)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
@@ -229,7 +228,6 @@ def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
     assert 0.5 < np.sqrt(np.nanmean((errors / expected) ** 2)) < 1.5
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_mask_has_no_jaw_where_it_ends() -> None:
     """The outline of a piece of a face is not its jaw: what is kept is as true as on the whole head."""
@@ -246,7 +244,6 @@ def test_a_mask_has_no_jaw_where_it_ends() -> None:
     assert any("ends" in line for line in found.report.warnings)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
     scan = read_scan(shared("scans/LeePerrySmith.glb"))
@@ -281,7 +278,6 @@ class NoFace:
         return np.full((rows, columns), self.level)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.parametrize("level", [-9.0, 9.0])
 def test_the_search_ends_where_there_is_no_face_and_says_what_was_tried(level: float) -> None:
     network, (points, triangles) = NoFace(level), ball(12)
@@ -328,7 +324,6 @@ TORSO = ((0.0, -800.0, -60.0), (200.0, 620.0, 120.0))
 ARMS = ((0.0, -380.0, -60.0), (800.0, 60.0, 60.0))
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True])
 def test_the_face_of_a_body_is_found_by_whatever_hides_it(hidden: bool) -> None:
@@ -350,7 +345,6 @@ def test_the_face_of_a_body_is_found_by_whatever_hides_it(hidden: bool) -> None:
     assert found.report.mm_per_unit == pytest.approx(1000.0, rel=0.15)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_of_two_heads_neither_is_taken_until_one_is_named() -> None:
     (first, landmarks), (second, _) = bald(1), bald(2)
@@ -369,7 +363,6 @@ def test_of_two_heads_neither_is_taken_until_one_is_named() -> None:
     assert found.report.pieces == ("Anna",)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_shapes_of_eyes_and_mouth_spare_the_search_and_tell_a_mirrored_mesh() -> None:
     head, landmarks = bald(1)
@@ -384,7 +377,6 @@ def test_shapes_of_eyes_and_mouth_spare_the_search_and_tell_a_mirrored_mesh() ->
     assert "its unit may be wrong" in said  # ten times as large as it can be
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_face_that_is_painted_on_an_egg_is_said_to_be_painted() -> None:
     head = read_scan(shared("scans/LeePerrySmith.glb"))
@@ -402,7 +394,6 @@ def test_a_face_that_is_painted_on_an_egg_is_said_to_be_painted() -> None:
     assert any("painted" in line for line in found.report.warnings)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_what_shows_no_face_is_reported() -> None:
     scan = read_scan(shared("scans/LeePerrySmith.glb"))
@@ -411,7 +402,6 @@ def test_what_shows_no_face_is_reported() -> None:
         finder()(replace(scan, name="back", triangles=back))
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from PIL import Image
@@ -427,7 +417,6 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytes
     assert exit_code(*words) == 2  # it exists now
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_file_without_unit_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     head, _ = bald(1)

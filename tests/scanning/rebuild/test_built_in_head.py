@@ -105,7 +105,6 @@ def test_lips_that_the_landmarks_show_shut_meet() -> None:
     np.testing.assert_array_equal(sealed[far], moved[far])
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_real_scan_becomes_a_ready_face_by_one_command(tmp_path: Path, capsys: Capsys) -> None:
     """Its eyes are shut, it has no unit, and nothing but the scan is given."""

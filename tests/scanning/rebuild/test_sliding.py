@@ -55,7 +55,6 @@ def test_the_report_says_how_far_points_lie_from_landmarks_along_the_surface(
     assert "brows" not in printed
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_closer_look_at_a_coloured_scan_keeps_brows_and_lips_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
     scan, truth = coloured_scan(2)

@@ -53,7 +53,7 @@ def test_people_on_another_topology_are_people() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["template.usda", pytest.param("plain.usda", marks=pytest.mark.needs_torch)])
+@pytest.mark.parametrize("name", ["template.usda", "plain.usda"])
 def test_a_head_takes_the_shapes_of_a_template_of_another_topology(folder: Path, tmp_path: Path, name: str) -> None:
     """They are those of the template but for a factor, as other people's faces are larger or smaller."""
     report = facepipe.transfer(head=folder / "head.usda", template=folder / name, out=tmp_path / "out.usda")
@@ -82,7 +82,6 @@ def test_a_template_of_another_topology_takes_the_shape_of_a_head(folder: Path, 
     assert off.mean() < 0.5 * apart.mean()
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_landmarks_that_a_template_lacks_are_found() -> None:
     parts = small_head.lean(small_head.make(PERSON))
@@ -130,7 +129,6 @@ def test_a_template_may_look_down_and_be_a_child() -> None:
         check_place(Template.of(_turned(parts, 35.0), "child"), marks)
 
 
-@pytest.mark.needs_torch
 @pytest.mark.slow
 @pytest.mark.parametrize(("verb", "flag"), [("transfer", "--from"), ("conform", "--template")])
 def test_a_template_shows_a_face(verb: str, flag: str, tmp_path: Path, capsys: Capsys) -> None:
