@@ -10,6 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.vectors import cross_columns, dot_columns
 
 # Where on its triangle a nearest place lies: at a corner, on the edge from corner 0 to 1, 1 to 2 or 2 to 0, or inside.
 CORNER, EDGE, INSIDE = 0, 3, 6
@@ -119,7 +120,7 @@ def closest_among(
         # the middle of a triangle is a place of it: others may be nearer only where their sphere reaches as far, which
         # leaves a fifth of the triangles about a point
         away = middles.take(tried, axis=1) - points.T.take(numbers, axis=1)
-        far = np.sqrt(_dot(away, away))
+        far = np.sqrt(dot_columns(away, away))
         starts = _starts(numbers)
         reach = np.repeat(np.minimum.reduceat(far, starts), np.diff(starts, append=len(far))) if len(far) else far
         near = np.flatnonzero(far - sizes[tried] <= reach * (1 + _ROUNDING))
@@ -204,7 +205,7 @@ def _improve(
     edge, share, lift, tried = edge[first], share[first], lift[first], tried[:, :, first]
     inside, rows = ~np.isnan(lift), np.arange(len(first))
     start, end = tried[edge, :, rows], tried[(edge + 1) % 3, :, rows]
-    normals = _cross(tried[1] - tried[0], tried[2] - tried[1]).T
+    normals = cross_columns(tried[1] - tried[0], tried[2] - tried[1]).T
     on_edge = start + share[:, None] * (end - start)
     nearest_places.places[point] = np.where(inside[:, None], points[point] - lift[:, None] * normals, on_edge)
     on_edge_at = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
@@ -219,31 +220,21 @@ def _reached(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, IntAr
     n > 0`` at all three sides; a lift is NaN where not, and the nearest place is ``start + share side`` of the edge.
     """
     sides = [corners[1] - corners[0], corners[2] - corners[1], corners[0] - corners[2]]
-    normal = _cross(sides[0], sides[1])
-    area = _dot(normal, normal)
+    normal = cross_columns(sides[0], sides[1])
+    area = dot_columns(normal, normal)
     inside = area > 0  # without area the normal is 0 and nothing lies inside: the edges have the place
     for number, side in enumerate(sides):
         offset = points - corners[number]
-        length = _dot(side, side)
-        along = np.clip(_dot(offset, side) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        length = dot_columns(side, side)
+        along = np.clip(dot_columns(offset, side) / np.where(length > 0, length, 1.0), 0.0, 1.0)
         away = offset - along * side
-        square = _dot(away, away)
-        inside &= _dot(_cross(side, offset), normal) > 0
+        square = dot_columns(away, away)
+        inside &= dot_columns(cross_columns(side, offset), normal) > 0
         if not number:
-            squares, edge, share, lift = square, np.zeros(len(square), np.int64), along, _dot(offset, normal)
+            squares, edge, share, lift = square, np.zeros(len(square), np.int64), along, dot_columns(offset, normal)
             continue
         nearer = square < squares
         squares[nearer], edge[nearer], share[nearer] = square[nearer], number, along[nearer]
     lift = np.where(inside, lift / np.where(inside, area, 1.0), np.nan)
     # not |p - place|^2: far from the origin, near the surface, that difference is rounding
     return np.where(inside, lift * lift * area, squares), edge, share, lift
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(p,) products of vectors (3, p)."""
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(3, p) of vectors (3, p)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -17,6 +17,17 @@ def transformed_each(points: FloatArray, transforms: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("nij,nj->ni", transforms[:, :, :3], points) + transforms[:, :, 3])
 
 
+def dot_columns(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(n,) products of vectors (3, n): by columns, a fifth of the time of numpy's sums over three numbers a row."""
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
+
+
+def cross_columns(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(3, n) of vectors (3, n)."""
+    (a, b, c), (d, e, f) = first, second
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d])
+
+
 def unit_vectors(vectors: FloatArray) -> FloatArray:
     """(v, c) of length 1; those of length 0 stay."""
     # axis by axis, to the same digits: numpy's reductions are slow over short axes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.vectors import cross_columns, dot_columns
 
 _FAR = 3.0  # radii of a triangle from which on its area alone counts: off by less than 0.01 in all for a head's skin
 _AT_ONCE = 4  # places: with all triangles of a head, what they take fits into a cache; 16 took up to 3 times as long
@@ -22,12 +23,12 @@ class WindingNumbers:
         columns = np.ascontiguousarray(points.T)  # a coordinate a row: a tenth of the time of rows of points
         self._corners = a, b, c = [columns[:, triangles[:, corner]] for corner in range(3)]
         self._middles = middles = (a + b + c) / 3.0
-        self._areas = 0.5 * _cross(b - a, c - a)
-        self._squares, self._products = _dot(middles, middles), _dot(middles, self._areas)
+        self._areas = 0.5 * cross_columns(b - a, c - a)
+        self._squares, self._products = dot_columns(middles, middles), dot_columns(middles, self._areas)
         self._reach2 = np.zeros(len(triangles))
         for corner in self._corners:
             away = corner - middles
-            np.maximum(self._reach2, _FAR**2 * _dot(away, away), out=self._reach2)
+            np.maximum(self._reach2, _FAR**2 * dot_columns(away, away), out=self._reach2)
 
     def at(self, places: FloatArray) -> FloatArray:
         """(m,) of `places` (m, 3). An open surface counts as the share of the sphere around that it covers."""
@@ -45,19 +46,8 @@ class WindingNumbers:
         dipoles /= distances2
         dipoles /= np.sqrt(distances2, out=distances2)
         a, b, c = (corner[:, near] - places[rows].T for corner in self._corners)
-        la, lb, lc = (np.sqrt(_dot(corner, corner)) for corner in (a, b, c))
-        beside = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
-        angles = 2.0 * np.arctan2(_dot(a, _cross(b, c)), beside)
+        la, lb, lc = (np.sqrt(dot_columns(corner, corner)) for corner in (a, b, c))
+        beside = la * lb * lc + dot_columns(a, b) * lc + dot_columns(b, c) * la + dot_columns(c, a) * lb
+        angles = 2.0 * np.arctan2(dot_columns(a, cross_columns(b, c)), beside)
         whole = dipoles.sum(axis=1) + np.bincount(rows, angles, minlength=len(places))
         return np.asarray(whole / (4.0 * np.pi))
-
-
-def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(t,) of columns (3, t)."""
-    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
-
-
-def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(3, t) of columns (3, t)."""
-    (a, b, c), (d, e, f) = first, second
-    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d])

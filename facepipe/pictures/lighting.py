@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.vectors import unit_vectors
+from facepipe.geometry.vectors import dot_columns, unit_vectors
 from facepipe.parts import KeyLamp, PhotoView
 from facepipe.pictures.occlusion import Sky, depth_map, visible_sky
 
@@ -262,10 +262,10 @@ class _View:
         self.towards_eye, self.mirror = np.ascontiguousarray(samples.towards_eye.T), mirror
         normals = np.ascontiguousarray(samples.normals.T)
         # At outlines smooth normals turn away from the viewer, who sees no such surface.
-        away = np.maximum(_LEAST_FACING - _dot(normals, self.towards_eye), 0)
+        away = np.maximum(_LEAST_FACING - dot_columns(normals, self.towards_eye), 0)
         self.normals = _unit(normals + away * self.towards_eye)
         self.alpha = np.maximum(roughness**2, _LEAST_ALPHA)
-        self.facing = np.maximum(_dot(self.normals, self.towards_eye), _LEAST_FACING)
+        self.facing = np.maximum(dot_columns(self.normals, self.towards_eye), _LEAST_FACING)
         self.mirrored = 2 * self.facing * self.normals - self.towards_eye
         # (3, m) share of even light that a rough surface reflects: Karis' fit of the split-sum integral
         r0, r1, r2, r3 = (a * roughness + b for a, b in ((-1, 1), (-0.0275, 0.0425), (-0.572, 1.04), (0.022, -0.04)))
@@ -290,13 +290,13 @@ class _View:
             right, up, forward = box.axes[:, :, None]
             towards = _unit(x * right + y * up + forward)
             half = _unit(towards + towards_eye)
-            cosine = np.maximum(_dot(normals, towards), 0)
-            lobe = alpha / (_dot(normals, half) ** 2 * (alpha**2 - 1) + 1)
+            cosine = np.maximum(dot_columns(normals, towards), 0)
+            lobe = alpha / (dot_columns(normals, half) ** 2 * (alpha**2 - 1) + 1)
             widened = np.minimum(alpha + 0.35 * box.spread, 1.0)  # keeps the energy of what is no point
             masking = alpha / 2
             unmasked = (cosine * (1 - masking) + masking) * (facing * (1 - masking) + masking)
             strength = box.glare * cosine * (lobe * alpha / widened) ** 2 / (4 * unmasked)
-            grazing = 1 - _dot(towards, half)
+            grazing = 1 - dot_columns(towards, half)
             share = mirror + (1 - mirror) * (grazing * grazing * grazing * grazing * grazing)
             reflected[:, at] = light.take(at, axis=1) * share * strength
         return reflected
@@ -321,14 +321,9 @@ def _mixed(low: FloatArray, high: FloatArray, height: FloatArray) -> FloatArray:
     return np.asarray(low + (high - low) * (0.5 + 0.5 * height))
 
 
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(m,) products of vectors (3, m)."""
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
 def _unit(vectors: FloatArray) -> FloatArray:
     """(3, m) of length 1."""
-    return np.asarray(vectors / np.sqrt(_dot(vectors, vectors)))
+    return np.asarray(vectors / np.sqrt(dot_columns(vectors, vectors)))
 
 
 PORTRAIT = Portrait(
@@ -385,9 +380,9 @@ class PhotoLight:
             return np.zeros((len(normals), 3), normals.dtype)
         towards = _towards(key).astype(normals.dtype)
         half = unit_vectors(towards_eye + towards)
-        grazing = 1 - np.clip(_dot(towards_eye.T, half.T), 0, 1)
+        grazing = 1 - np.clip(dot_columns(towards_eye.T, half.T), 0, 1)
         fresnel = _FACING + (1 - _FACING) * grazing**5
-        lobe = (key.exponent + 2) / 8 * np.maximum(_dot(normals.T, half.T), 1e-4) ** key.exponent
+        lobe = (key.exponent + 2) / 8 * np.maximum(dot_columns(normals.T, half.T), 1e-4) ** key.exponent
         matt = np.maximum(normals @ towards, 0.0) * arriving
         return np.asarray((key.shine * fresnel * lobe * matt)[:, None] * np.array(key.color, normals.dtype))
 
