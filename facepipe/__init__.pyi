@@ -513,8 +513,8 @@ def fit_photo(
     size: int = 192,
     color: float = 6.0,
     content: float = 0.1,
-    identity: float = 0.02,
-    attributes: float = 0.0,
+    identity: float | None = None,
+    attributes: float | None = None,
     sparsity: float = 0.02,
     expression_sparsity: float = 0.1,
     hue: float = 10.0,
@@ -543,8 +543,8 @@ def fit_photo(
     :param size: pixels a side that image terms see of the head
     :param color: weight of the colours of the pixels
     :param content: weight of features and semantics
-    :param identity: weight of the identity
-    :param attributes: weight of the attributes
+    :param identity: weight of the identity (default 0.02 with a network of yours, else 0)
+    :param attributes: weight of the attributes (default 0.02 with a network of yours, else 0)
     :param sparsity: weight of the sliders' distance from their defaults
     :param expression_sparsity: weight of the expressions
     :param hue: weight of the difference in hue between the key light and the light around it

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
 from facepipe.core.errors import InputError
 from facepipe.declare import Ranged, option
@@ -22,6 +22,12 @@ MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
 
 # of a step of training: landmarks of people, renders whose truth is known, pictures on the joint loss
 LANDMARK_BATCH, BATCH, JOINT_BATCH = 256, 32, 8
+
+# facepipe's own network tells nothing of these: it takes portraits of two people for one at an equal error rate of 39 to
+# 43 %, and attributes that it finds are no nearer than the mean of those it was trained on. Networks of others do know.
+_VOID = ("identity", "attributes")
+_WEIGHT = 0.02
+_BY_NETWORK = f"default {_WEIGHT} with a network of yours, else 0"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +45,8 @@ class PhotoTermOptions(Ranged):
     # neighbouring pixels show the same thing, and must not count for more than how likely a person is
     color: float = option(6.0, "weight of the colours of the pixels", 0.0, 1e6)
     content: float = option(0.1, "weight of features and semantics", 0.0, 1e6)
-    identity: float = option(0.02, "weight of the identity", 0.0, 1e6)
-    attributes: float = option(0.0, "weight of the attributes", 0.0, 1e6)
+    identity: float | None = option(None, f"weight of the identity ({_BY_NETWORK})", 0.0, 1e6)
+    attributes: float | None = option(None, f"weight of the attributes ({_BY_NETWORK})", 0.0, 1e6)
     sparsity: float = option(0.02, "weight of the sliders' distance from their defaults", 0.0, 1e6)
     expression_sparsity: float = option(0.1, "weight of the expressions", 0.0, 1e6)
     hue: float = option(10.0, "weight of the difference in hue between the key light and the light around it", 0.0, 1e6)
@@ -50,6 +56,14 @@ class PhotoTermOptions(Ranged):
     focal_sigma: float = option(
         0.2, "spread of the focal length around a portrait lens, as a natural logarithm", 1e-3, 10
     )
+
+    def with_networks(self, given: Collection[str]) -> Self:
+        """The options with weights for the terms that are void without a network of the user's.
+
+        :param given: kinds of features that there is such a network for
+        """
+        left = {kind: _WEIGHT * (kind in given) for kind in _VOID if getattr(self, kind) is None}
+        return replace(self, **left) if left else self
 
 
 @dataclass(frozen=True, kw_only=True)

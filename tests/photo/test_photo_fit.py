@@ -158,6 +158,20 @@ def test_each_term_will_do_alone(term: str) -> None:
     assert min(each["total"] for each in found.history) < found.history[0]["total"]
 
 
+def test_identity_and_attributes_count_with_a_network_of_the_users_alone(tmp_path: Path) -> None:
+    own, options = portrait(), PhotoFitOptions(iterations=1, size=64)
+    (by_own, *_) = fit_photos(sample(), own.images, own.landmarks, options).history
+    assert "content" in by_own
+    assert not {"identity", "attributes"} & set(by_own)
+    path = feature_graphs.save(feature_graphs.arcface_like(16), tmp_path / "face.onnx")
+    network = load_extractor(path, "identity")
+    given = fit_photos(sample(), own.images, own.landmarks, options, extractors={"identity": network})
+    assert given.history[0]["identity"] > 0
+    kept_out = replace(options, identity=0.0)
+    without = fit_photos(sample(), own.images, own.landmarks, kept_out, extractors={"identity": network})
+    assert "identity" not in without.history[0]
+
+
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_photo_on_its_side_shows_the_same_person_in_the_same_light(quarters: int) -> None:
     own = portrait()

@@ -136,7 +136,8 @@ class JointLoss:
         extractors: Mapping[Kind, Extractor],
         options: PhotoFitOptions,
     ) -> None:
-        self.model, self.fit, self.photos, self.options = model, fit, tuple(photos), options
+        self.options = options = options.with_networks(extractors)
+        self.model, self.fit, self.photos = model, fit, tuple(photos)
         self.shadows: list[Shadows | None] = [None] * len(self.photos)  # None: no lamp either
         subject = fit.subject
         self.spreads: list[tuple[float, ...]] = [SPREAD] * len(self.photos)

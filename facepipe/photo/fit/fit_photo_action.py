@@ -200,7 +200,8 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
                 name: replace(photo, similarity=similarity(network, shown.photo, shown.render, shown.targets))
                 for (name, photo), shown in zip(report.photos.items(), fitted.sheet.photos, strict=True)
             }
-            report = replace(report, photos=photos, similarity_fitted=bool(self.identity and fit.steps))
+            weight = self.with_networks(inputs.extractors).identity
+            report = replace(report, photos=photos, similarity_fitted=bool(weight and fit.steps))
         warnings = (*inputs.warnings, *report.warnings, *self._misses(report))
         return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
 
