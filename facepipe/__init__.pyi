@@ -59,6 +59,7 @@ from facepipe.verbs.fit_bones.target_fits import FitBonesReport
 from facepipe.verbs.inspect import InspectReport
 from facepipe.verbs.landmarks import LandmarksReport
 from facepipe.verbs.lod.levels import LodReport
+from facepipe.verbs.person import PersonReport
 from facepipe.verbs.regions import RegionsReport
 from facepipe.verbs.skin.skinning import SkinReport
 
@@ -124,13 +125,15 @@ def apply_bones(
     out: str | os.PathLike[str],
     overwrite: bool = False,
     flatten: bool = False,
+    database: str | os.PathLike[str] | None = None,
     clamp: bool = False,
     name: str | None = None,
 ) -> ApplyBonesReport:
     """Rebuild a face from bone coefficients: `facepipe apply-bones`.
 
     :param face: face stage
-    :param coefficients: bone coefficients: .fpb
+    :param coefficients: bone coefficients, or a person: .fpb
+    :param database: faces whose modes a person is made of (.fpdb)
     :param clamp: bring coefficients into the bone limits of FACE
     :param name: name of the animation (default: the file's)
     :param out: stage to write, or a file that an exporter writes
@@ -787,6 +790,28 @@ def neural_rig_train(
     :param checkpoint: file that keeps where the training stands: killed, the same command goes on from there
     :param plot: picture of what is left of the motion, step by step
     :param out: neural rig to write: .fpnr
+    :param overwrite: put it in place of a file that is there
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def person(
+    face: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    overwrite: bool = False,
+    template: str | os.PathLike[str] | None = None,
+    database: str | os.PathLike[str] | None = None,
+    within: float | None = None,
+    most: int | None = None,
+) -> PersonReport:
+    """Write who a face is as a payload of few bytes: `facepipe person`.
+
+    :param face: face stage
+    :param template: face of the same topology that devices have, where there are no modes
+    :param database: faces of its topology whose modes to use (.fpdb)
+    :param within: how far off a point may be at most (default 1 without --bytes) [mm]
+    :param most: size of the payload at most [bytes]
+    :param out: payload to write: .fpb
     :param overwrite: put it in place of a file that is there
     :raises FacepipeError: what can't be read, done or written; then nothing is written
     """

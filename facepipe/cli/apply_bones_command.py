@@ -35,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
             beside = "--info" if arguments.info else f"-o {arguments.output.name}"
             raise InputError(f"--{name}", f"given with {beside}, expected only one of them")
     _, action = action_of(arguments, ApplyCoefficients)
+    if action.is_person():
+        return _person_info(action, as_json=arguments.json) if arguments.info else _person_points(action, arguments)
     return _info(action, as_json=arguments.json) if arguments.info else _points(action, arguments)
 
 
@@ -71,6 +73,55 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
     result = {"path": str(out), "shape": list(points.shape), "beyond_limits": beyond, "warnings": warnings}
     emit(result, text, as_json=arguments.json)
     return 1 if beyond and not action.clamp else 0
+
+
+def _person_points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
+    import numpy as np
+
+    import facepipe
+    from facepipe.core.atomic import write_bytes
+    from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
+
+    out = output_of(arguments, [action.face, action.coefficients])
+    face = facepipe.read(action.face)
+    content, _, points = action.person(face)
+    parts = face.parts()
+    to_stage = np.linalg.inv(world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES))
+    points = points @ to_stage[:3, :3].T
+    buffer = io.BytesIO()
+    np.savez(buffer, points=points.astype(np.float32))
+    write_bytes(out, buffer.getvalue())
+    warnings = action.left_out_lines(content)
+    warn(warnings)
+    result = {"path": str(out), "shape": list(points.shape), "beyond_limits": (), "warnings": warnings}
+    emit(result, f"{out}: points {points.shape}", as_json=arguments.json)
+    return 1 if content.skipped else 0
+
+
+def _person_info(action: ApplyCoefficients, *, as_json: bool) -> int:
+    import facepipe
+    from facepipe.payload.person import decode_person
+    from facepipe.verbs.apply_person import basis_for
+    from facepipe.verbs.bone_payload import payload_bytes
+
+    where = action.coefficients
+    data, face = payload_bytes(where), facepipe.read(action.face)
+    content, misfit = decode_person(data, where), ""
+    try:
+        basis_for(content, face.parts(), where, str(action.face), action.database)
+    except InputError as error:
+        misfit = error.what
+    numbers = {"modes": len(content.modes), "parts": len(content.parts), "points": len(content.points)}
+    result: dict[str, Any] = {"path": str(where), "bytes": len(data), "fits": not misfit, "version": 2, **numbers}
+    result |= {"basis": content.basis.hex(), "placement": content.placement is not None, "left_out": content.skipped}
+    lines = [
+        f"{where}: {len(data):,} bytes: a person on basis {content.basis.hex()}: {numbers['modes']} modes, "
+        f"{numbers['parts']} parts, {numbers['points']:,} bytes of points"
+    ]
+    lines += [f"is not for {action.face}: {misfit}"] if misfit else []
+    lines += action.left_out_lines(content)
+    emit(result, "\n".join(lines), as_json=as_json)
+    return 1 if misfit or content.skipped else 0
 
 
 def _info(action: ApplyCoefficients, *, as_json: bool) -> int:

@@ -515,3 +515,15 @@ def with_own_cards(parts: FaceParts, before: FaceParts) -> FaceParts:
             mesh = replace(mesh, points=laid.points, normals=laid.normals, blendshapes=laid.blendshapes)
         meshes.append(mesh)
     return replace(parts, meshes=tuple(meshes))
+
+
+def settled(parts: FaceParts, changed: FaceParts, *, observed: Collection[str] = ()) -> FaceParts:
+    """The built-in head `parts` with other points, whose lids fit its eyeballs, and whose cards lie on its skin.
+
+    :param observed: shapes that scans show, which stay as they are; one blink counts for both
+    """
+    kept = {*observed, *(BLINKS if any(name in observed for name in BLINKS) else ())}
+    body = changed.meshes[: len(asset().parts)]
+    points = np.concatenate([np.asarray(mesh.points, np.float64) for mesh in body])
+    changed = with_own_lids(changed, points, [name for name in LIDS if name not in kept])
+    return with_own_cards(changed, parts)

@@ -1,14 +1,19 @@
-"""Rebuild a face from bone coefficients: an animation on an override layer, or its points.
+"""Rebuild a face from a payload: bone coefficients as an animation on an override layer, or a person as its neutral.
 
 COEFFICIENTS is a payload (.fpb) for the joints of FACE. OUT holds a SkelAnimation below FACE: a pose, a clip where the
 payload has sample times, or poses NAME_1, NAME_2 ... where it has frames without times; the (first) one is what the
 skeleton plays. An .npz holds `points`, (n, 3) or (frames, n, 3) in stage units, and `times`. Exit code 1: done, but
 coefficients are beyond the limits of FACE; --clamp brings them into these.
 
+A payload of `facepipe person` has who somebody is: FACE, the built-in head, or a face of the --database or the very
+template that it was made with, gets that person's neutral, and its joints, lids and cards go with it. Exit code 1:
+done, but the payload has sections that this version leaves out.
+
 examples:
   facepipe apply-bones head.usdc --info person.fpb
   facepipe apply-bones head.usdc person.fpb -o person.usdc
   facepipe apply-bones head.usdc person.fpb -o points.npz
+  facepipe apply-bones head.usdc anna.fpb -o anna_again.usdc
 """
 
 from __future__ import annotations
@@ -24,9 +29,12 @@ from facepipe.declare import option, source
 from facepipe.kinds import Job, StageAction, action
 
 if TYPE_CHECKING:
+    from facepipe.core.arrays import FloatArray
     from facepipe.parts import Recipe
     from facepipe.payload import PayloadContent
+    from facepipe.payload.person import PersonContent
     from facepipe.stage import Face
+    from facepipe.verbs.person_basis import Basis
 
 MAX_POSES = 4096  # prims that one payload may make
 
@@ -40,6 +48,8 @@ class ApplyBonesReport(Report):
     frames: int
     beyond_limits: tuple[str, ...] = ()  # "joint:channel" where some frame is beyond the face's limits
     authored: tuple[str, ...] = ()
+    basis: str | None = None  # of a person: what its payload is relative to
+    left_out: tuple[int, ...] = ()  # of a person: kinds of sections that are not known
 
 
 @action("apply-bones", "rebuild a face from bone coefficients")
@@ -48,7 +58,10 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
     """The action."""
 
     face: Path = source("face stage")
-    coefficients: Path = source("bone coefficients: .fpb")
+    coefficients: Path = source("bone coefficients, or a person: .fpb")
+    database: Path | None = source(
+        "faces whose modes a person is made of (.fpdb)", default=None, flag="--database", metavar="FPDB"
+    )
     clamp: bool = option(False, "bring coefficients into the bone limits of FACE")
     name: str | None = option(None, "name of the animation (default: the file's)")
 
@@ -61,15 +74,65 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
         from facepipe.payload import decode
         from facepipe.verbs.bone_payload import payload_bytes
 
-        recipe, data = job.recipe(), payload_bytes(self.coefficients)
+        recipe = job.recipe()
+        if self.is_person():
+            return self._person(face, recipe)
+        data = payload_bytes(self.coefficients)
         content = decode(data, face.skeleton.joints, self.coefficients)
         name = self.name or identifier(self.coefficients.stem)
         return apply_bones(face, content, name, clamp=self.clamp, recipe=recipe)
 
+    def is_person(self) -> bool:
+        """Whether the payload is who somebody is.
+
+        :raises InputError: it can't be read
+        """
+        from facepipe.payload.sections import has_sections
+        from facepipe.verbs.bone_payload import payload_bytes
+
+        return has_sections(payload_bytes(self.coefficients))
+
+    def person(self, face: Face) -> tuple[PersonContent, Basis, FloatArray]:
+        """Who the payload has, the basis that it is on, and (n, 3) points in millimetres, of the basis.
+
+        :raises InputError: a payload that is damaged, or not for this face
+        """
+        from facepipe.payload.person import decode_person
+        from facepipe.verbs.apply_person import basis_for
+        from facepipe.verbs.bone_payload import payload_bytes
+
+        for given, flag in ((self.clamp, "--clamp"), (self.name is not None, "--name")):
+            if given:
+                raise InputError(flag, f"given with a person ({self.coefficients}), expected bone coefficients")
+        content = decode_person(payload_bytes(self.coefficients), self.coefficients)
+        basis = basis_for(content, face.parts(), self.coefficients, str(self.face), self.database)
+        return content, basis, basis.rebuilt(content, self.coefficients)
+
+    def left_out_lines(self, content: PersonContent) -> tuple[str, ...]:
+        """A line for each section that this version does not know."""
+        return tuple(f"{self.coefficients}: left out: section of kind {kind}, not known" for kind in content.skipped)
+
+    def _person(self, face: Face, recipe: Recipe) -> ApplyBonesReport:
+        from facepipe.verbs.apply_person import apply_person
+
+        content, basis, points = self.person(face)
+        authored, warnings = apply_person(face, points, basis, recipe=recipe)
+        return ApplyBonesReport(
+            animations=(),
+            joints=0,
+            frames=0,
+            authored=authored,
+            basis=basis.name,
+            left_out=content.skipped,
+            warnings=(*self.left_out_lines(content), *warnings),
+        )
+
     def missed(self, report: ApplyBonesReport) -> bool:
-        return bool(report.beyond_limits) and not self.clamp
+        return bool(report.left_out) or (bool(report.beyond_limits) and not self.clamp)
 
     def text(self, report: ApplyBonesReport, out: Path) -> str:
+        if report.basis is not None:
+            return f"{out}: a person on {report.basis}"
         names = first_names(report.animations, 4)
         return f"{out}: {names}: {report.frames} frame(s) of {report.joints} joints"
 

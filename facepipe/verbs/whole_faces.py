@@ -18,6 +18,7 @@ from facepipe.rig import mesh_spaces
 
 MILLIMETRES = FaceParts(name="millimetres", meters_per_unit=0.001, up_axis="Y")  # the space of whole points
 
+NEXT_MM = 0.1  # to each other's: points that lie next to one another
 _SINGULAR = 1e-12  # of the product of the column lengths
 _Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 

@@ -12,23 +12,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
+from facepipe.geometry.nearby_points import NearbyPoints
 from facepipe.parts import Blendshape, FaceParts, Slider
 from facepipe.registry import databases
 from facepipe.rig import build, slide
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.author_neutral import AuthorNeutral
-from facepipe.verbs.whole_faces import MILLIMETRES, in_order, to_millimetres, whole_points, world_to_world
+from facepipe.verbs.whole_faces import MILLIMETRES, NEXT_MM, in_order, to_millimetres, whole_points, world_to_world
 
 REACH = 3.0  # standard deviations of a mode that a person may have
 SCHEME = "multipie68"
-_NEAR = 3  # points of the skin that a point of hair follows
 _AROUND = 1.2  # times the farthest landmark from their middle
 _SLIDER_SPREAD = 0.15  # of its range: standard deviation of a slider
 _APART_MM = 1.0  # what sliders may leave of a person's shape at a place
@@ -210,14 +209,10 @@ def _on(parts: FaceParts, where: str, base: FaceParts, modes: FloatArray, *, bui
     middle = marks.mean(axis=0)
     reach = _AROUND * np.linalg.norm(marks - middle, axis=1).max()
     face = start + np.flatnonzero(np.linalg.norm(points[skin] - middle, axis=1) <= reach)
-    _, near = cKDTree(points[skin]).query(points[len(mean) :], k=_NEAR)
-    apart = np.linalg.norm(points[skin][near] - points[len(mean) :, None], axis=2)
-    # 0.1 mm: a point that lies on one of the skin's would divide by 0.
-    shares = 1 / (apart + 0.1)
-    shares /= shares.sum(axis=1, keepdims=True)
+    others = NearbyPoints.of(points[len(mean) :], points[skin], NEXT_MM)
 
     def follow(moves: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("pk,...pkc->...pc", shares, moves[..., skin, :][..., near, :]))
+        return others.carried(moves[..., skin, :])
 
     return PersonModel(
         parts=ordered,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -109,18 +109,3 @@ def with_inside_fitted(points: FloatArray) -> FloatArray:
     from facepipe.heads.assembly import with_parts_fitted
 
     return _TO_MM * with_parts_fitted(points / _TO_MM)
-
-
-def settled(parts: FaceParts, changed: FaceParts, *, observed: Collection[str] = ()) -> FaceParts:
-    """The built-in head `parts` with other points, whose lids fit its eyeballs, and whose cards lie on its skin.
-
-    :param observed: shapes that scans show, which stay as they are; one blink counts for both
-    """
-    from facepipe.heads.assembly import BLINKS, LIDS, with_own_cards, with_own_lids
-    from facepipe.heads.asset import asset
-
-    kept = {*observed, *(BLINKS if any(name in observed for name in BLINKS) else ())}
-    body = changed.meshes[: len(asset().parts)]
-    points = np.concatenate([np.asarray(mesh.points, np.float64) for mesh in body])
-    changed = with_own_lids(changed, points, [name for name in LIDS if name not in kept])
-    return with_own_cards(changed, parts)

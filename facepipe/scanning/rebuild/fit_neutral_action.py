@@ -105,8 +105,9 @@ class FittingAction(TemplateAction):
         return (make(textures=_TEXTURES), ()) if self.template is None else None
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
+        from facepipe.heads.assembly import settled
         from facepipe.scanning.database import QualityLimits, load_database, misses
-        from facepipe.scanning.rebuild.built_in_head import bare_head, settled, with_inside_fitted
+        from facepipe.scanning.rebuild.built_in_head import bare_head, with_inside_fitted
         from facepipe.scanning.rebuild.fit_neutral import are_sealed, fit_neutral, shut_eyes, with_sealed_lips
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named
         from facepipe.scanning.rebuild.template import Template

@@ -95,13 +95,13 @@ class RebuildAction(StageAction["RebuildReport"]):
 
     def author(self, face: Face, job: Job) -> RebuildReport:
         from facepipe.core.atomic import apart
+        from facepipe.heads.assembly import settled
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import QualityLimits, load_database, misses
         from facepipe.scanning.rebuild.built_in_head import (
             bare_head,
             mouth_contacts,
             mouth_lines,
-            settled,
             with_inside_fitted,
         )
         from facepipe.scanning.rebuild.rebuild import Rebuild, step_count

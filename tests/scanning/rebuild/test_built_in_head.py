@@ -17,11 +17,11 @@ from node import validate
 import facepipe
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.heads import make
-from facepipe.heads.assembly import LIDS
+from facepipe.heads.assembly import LIDS, settled
 from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
-from facepipe.scanning.rebuild.built_in_head import bare_head, people, settled
+from facepipe.scanning.rebuild.built_in_head import bare_head, people
 from facepipe.scanning.rebuild.fit_neutral import are_sealed, shut_eyes, with_sealed_lips
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scanning.rebuild.template import Template

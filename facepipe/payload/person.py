@@ -1,0 +1,121 @@
+"""Persons as payloads: which sections they have, checked number by number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.payload.sections import Section, pack, unpack
+
+BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS = 1, 2, 3, 4, 5, 6  # kinds
+_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS)
+_TURN = slice(3, 6)  # of a placement
+DIGEST = 8  # bytes
+MOST_MODES = 4096
+MOST_PARTS = 16
+_LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale
+LARGEST_WEIGHT = 100.0  # standard deviations
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonContent:
+    """What a payload says of a person.
+
+    A placement is a turn by the unit quaternion ``(x, y, z, sqrt(1 - x^2 - y^2 - z^2))``, a scale, then a move: seven
+    numbers ``tx ty tz`` in millimetres, ``x y z``, and the scale's natural logarithm.
+    """
+
+    basis: bytes  # DIGEST of them
+    modes: FloatArray  # (k,) float16 weights of the basis's first modes, in standard deviations
+    placement: FloatArray | None = None  # (7,) float32 of the whole face
+    parts: FloatArray = field(default_factory=lambda: np.zeros((0, 7), np.float16))  # (p, 7) of parts that keep shape
+    points: bytes = b""  # of `PointLevels`
+    skipped: tuple[int, ...] = ()  # kinds of sections that a reader may leave out, and this one has
+
+
+def encode_person(content: PersonContent) -> bytes:
+    """The payload of a person.
+
+    :raises InputError: numbers beyond limits
+    """
+    where = "person"
+    sections = [Section(BASIS, content.basis)]
+    if len(content.modes):
+        sections.append(Section(MODES, _checked_modes(content.modes, where).astype("<f2").tobytes()))
+    if content.placement is not None:
+        sections.append(Section(PLACEMENT, _checked_moves(content.placement[None], where).astype("<f4").tobytes()))
+    if len(content.parts):
+        parts = _checked_moves(content.parts, where).astype("<f2")
+        if parts[:, _TURN].any():
+            sections.append(Section(TURNED_PARTS, parts.tobytes()))
+        else:
+            sections.append(Section(MOVED_PARTS, np.delete(parts, _TURN, axis=1).tobytes()))
+    if content.points:
+        sections.append(Section(POINTS, content.points))
+    return pack(sections)
+
+
+def decode_person(data: bytes, where: object) -> PersonContent:
+    """What a payload says of a person.
+
+    :raises InputError: as `unpack`, no person, a section that is unknown and must not be left out, one of a size that
+        does not fit, or numbers beyond limits
+    """
+    found = {section.kind: section for section in unpack(data, where)}
+    skipped = tuple(kind for kind in found if kind not in _KNOWN)
+    for kind in skipped:
+        if found[kind].required:
+            raise InputError(where, f"section of kind {kind}, which this version of facepipe does not know")
+    if BASIS not in found:
+        raise InputError(where, "no person: it names no basis")
+    if MOVED_PARTS in found and TURNED_PARTS in found:
+        raise InputError(where, "parts with turns and without, expected one of them")
+    digest = found[BASIS].data
+    if len(digest) != DIGEST:
+        raise InputError(f"{where} -> basis", f"{len(digest)} bytes, expected {DIGEST}")
+    placement = _numbers(found.get(PLACEMENT), "<f4", 7, 1, f"{where} -> placement").reshape(-1, 7)
+    trail = f"{where} -> parts"
+    parts = _numbers(found.get(TURNED_PARTS), "<f2", 7, MOST_PARTS, trail).reshape(-1, 7)
+    if MOVED_PARTS in found:
+        still = _numbers(found[MOVED_PARTS], "<f2", 4, MOST_PARTS, trail).reshape(-1, 4)
+        parts = np.insert(still, [3, 3, 3], 0, axis=1)
+    modes = _numbers(found.get(MODES), "<f2", 1, MOST_MODES, f"{where} -> modes")
+    return PersonContent(
+        basis=digest,
+        modes=_checked_modes(modes, where),
+        placement=_checked_moves(placement, where)[0] if len(placement) else None,
+        parts=_checked_moves(parts, where),
+        points=found[POINTS].data if POINTS in found else b"",
+        skipped=skipped,
+    )
+
+
+def _numbers(section: Section | None, kind: str, each: int, most: int, where: str) -> FloatArray:
+    if section is None:
+        return np.zeros(0, kind)
+    size = each * np.dtype(kind).itemsize
+    count, rest = divmod(len(section.data), size)
+    if rest or not 1 <= count <= most:
+        raise InputError(where, f"{len(section.data)} bytes, expected 1 to {most} times {size}")
+    return np.frombuffer(section.data, kind)
+
+
+def _checked_modes(modes: FloatArray, where: object) -> FloatArray:
+    off = np.flatnonzero(~(np.abs(np.asarray(modes, np.float64)) <= LARGEST_WEIGHT))
+    if len(off):
+        expected = f"expected at most {LARGEST_WEIGHT:g} standard deviations"
+        raise InputError(f"{where} -> mode {off[0]}", f"{modes[off[0]]:g}, {expected}")
+    return modes
+
+
+def _checked_moves(moves: FloatArray, where: object) -> FloatArray:
+    values = np.asarray(moves, np.float64)
+    sound = (np.abs(values) <= _LARGEST).all(axis=1) & ((values[:, 3:6] ** 2).sum(axis=1) <= 1.0)
+    if not sound.all():
+        (row, *_) = np.flatnonzero(~sound)
+        numbers = " ".join(f"{value:g}" for value in values[row])
+        raise InputError(f"{where} -> placement {row}", f"{numbers}, expected a move, part of a quaternion, a scale")
+    return moves

@@ -1,0 +1,290 @@
+"""Persons as payloads: how near a few hundred bytes come, whose face gets them, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Capsys, done, failed, run
+from faces import tiny_face
+
+import facepipe
+from facepipe.core.errors import InputError
+from facepipe.heads import make
+from facepipe.heads.assembly import with_parts_fitted
+from facepipe.heads.asset import asset
+from facepipe.parts import FaceParts
+from facepipe.payload.coefficients import read_header
+from facepipe.payload.person import BASIS, MODES, POINTS, PersonContent, decode_person, encode_person
+from facepipe.payload.sections import MOST_SECTIONS, Section, pack, unpack
+from facepipe.rig import build
+from facepipe.rig.conventions import ARKIT_SHAPES
+from facepipe.stage import save_parts
+from facepipe.verbs.person_basis import head_basis
+from facepipe.verbs.person_layers import encode_points
+from facepipe.verbs.whole_faces import whole_points
+
+_MOUTH = slice(11248, 13294)  # points of its inside
+
+
+def distances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
+def skin(values: np.ndarray) -> np.ndarray:
+    """Those of the skin, of values of all points."""
+    return np.delete(values[: asset().parts["Head"].points.stop], np.arange(_MOUTH.start, _MOUTH.stop), axis=0)
+
+
+def fitted(seed: int) -> np.ndarray:
+    """(n, 3) millimetres of a person as photo fits make them: modes, with eyes and mouth fitted to the skin."""
+    weights = np.random.default_rng(seed).normal(0, 0.8, len(asset().modes))
+    return 10 * with_parts_fitted(asset().points + np.tensordot(weights, asset().modes, axes=1))
+
+
+@cache
+def drawn(seed: int) -> FaceParts:
+    return make(seed)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_photos_person_is_251_bytes(seed: int) -> None:
+    points = fitted(seed)
+    data, layers = encode_points(head_basis(), points, within=5.0)
+    off = distances(layers[-1].points, points)
+    assert len(data) == 251
+    assert skin(off).mean() < 0.03
+    assert skin(off).max() < 1.0
+    balls = np.concatenate([off[asset().parts[name].points] for name in ("EyeballLeft", "EyeballRight")])
+    assert balls.max() < 0.12
+    np.testing.assert_array_equal(head_basis().rebuilt(decode_person(data, "person"), "person"), layers[-1].points)
+
+
+@pytest.mark.parametrize("within", [0.15, 0.5])
+def test_points_come_as_near_as_they_are_asked_to(within: float) -> None:
+    points = whole_points(drawn(3))
+    warped = points + 3 * np.sin(points / 15)[:, [1, 2, 0]]  # beyond any mode, and whole parts with it
+    data, layers = encode_points(head_basis(), warped, within=within)
+    off = distances(head_basis().rebuilt(decode_person(data, "person"), "person"), warped)
+    balls = np.zeros(len(off), bool)
+    for name in ("EyeballLeft", "EyeballRight"):
+        balls[asset().parts[name].points] = True  # which stay balls
+    assert 0.8 * within < off[~balls].max() <= within
+    assert [layer.name for layer in layers] == ["modes", "parts", "points"]
+
+
+def test_a_head_that_stands_elsewhere_takes_a_placement_not_points() -> None:
+    points, turn = fitted(4), np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = 1.1 * points @ turn.T + [40, -300, 7]
+    data, layers = encode_points(head_basis(), moved, within=5.0)
+    assert [layer.name for layer in layers] == ["placement", "modes", "parts"]
+    off = distances(layers[-1].points, moved)
+    assert len(data) < 310
+    assert skin(off).mean() < 0.04
+
+
+@pytest.mark.parametrize("most", [300, 830, 1300, 4000])
+def test_bytes_are_kept_to_and_used(most: int) -> None:
+    points = whole_points(drawn(3))
+    warped = points + 2 * np.sin(points / 25)[:, [1, 2, 0]]
+    data, layers = encode_points(head_basis(), warped, most=most)
+    assert 0.9 * most < len(data) <= most or (most == 300 and len(data) <= most)
+    means = [distances(layer.points, warped).mean() for layer in layers]
+    assert means == sorted(means, reverse=True)
+
+
+def test_a_rebuilt_person_is_the_person(tmp_path: Path, capsys: Capsys) -> None:
+    """From the command line, over the average head: neutral, all shapes and poses, to 0.1 mm on average."""
+    save_parts(drawn(2), tmp_path / "anna.usdc")
+    save_parts(make(0), tmp_path / "head.usdc")
+    told = json.loads(done(capsys, "person", tmp_path / "anna.usdc", "-o", tmp_path / "anna.fpb", "--json"))
+    assert told["bytes"] == (tmp_path / "anna.fpb").stat().st_size < 600
+    assert told["max_mm"] <= 1.0
+    words = (tmp_path / "head.usdc", tmp_path / "anna.fpb")
+    assert "a person on the built-in head" in done(capsys, "apply-bones", *words, "-o", tmp_path / "again.usdc")
+    anna, again = (facepipe.open(tmp_path / name).parts() for name in ("anna.usdc", "again.usdc"))
+    assert again.recipe is not None
+    assert again.recipe.verb == "apply-bones"
+    first, second = build(anna), build(again)
+    known = slice(0, asset().parts["Head"].points.stop)
+
+    def apart(**pose: object) -> float:
+        both = [rig.evaluate(pose.get("weights", {}), coefficients=pose.get("coefficients")) for rig in (first, second)]  # type: ignore[arg-type]
+        return float(10 * distances(*(points[known] for points in both)).mean())
+
+    assert apart() < 0.1
+    assert max(apart(weights={name: 1.0}) for name in ARKIT_SHAPES) < 0.1
+    limits, rng = again.bone_limits, np.random.default_rng(0)
+    assert limits is not None
+    rest = np.array([0.0] * 6 + [1.0] * 3)
+    for _ in range(10):
+        share = 0.3 * rng.random(limits.lower.shape)
+        within = rest + share * (np.where(rng.random(share.shape) < 0.5, limits.lower, limits.upper) - rest)
+        assert apart(coefficients=within) < 0.1
+    done(capsys, "apply-bones", *words, "-o", tmp_path / "again.npz")
+    points = np.load(tmp_path / "again.npz")["points"]
+    np.testing.assert_allclose(points, np.concatenate([mesh.points for mesh in again.meshes]), atol=1e-4)
+
+
+def test_who_the_face_was_before_does_not_matter(tmp_path: Path, capsys: Capsys) -> None:
+    """Sliders and hair of the face that a payload comes to: the person is the payload's alone."""
+    save_parts(make(5), tmp_path / "five.usdc")
+    done(capsys, "sliders", tmp_path / "five.usdc", "--set", "noseWidth=1", "-o", tmp_path / "set.usdc")
+    save_parts(make(0), tmp_path / "head.usdc")
+    data, _ = encode_points(head_basis(), fitted(1), within=1.0)
+    (tmp_path / "one.fpb").write_bytes(data)
+    found = []
+    for name in ("set", "head"):
+        out = tmp_path / f"{name}_one.usdc"
+        done(capsys, "apply-bones", tmp_path / f"{name}.usdc", tmp_path / "one.fpb", "-o", out)
+        face = facepipe.open(out)
+        assert all(slider.value is None for slider in face.sliders)
+        found.append(face.evaluate()[: len(asset().points)])
+    np.testing.assert_allclose(found[0], found[1], atol=2e-5)
+
+
+def test_any_topology_has_points_against_the_template(tmp_path: Path, capsys: Capsys) -> None:
+    face = tiny_face()
+    save_parts(face, tmp_path / "template.usdc")
+    other = replace(
+        face, meshes=tuple(replace(mesh, points=mesh.points * [1.1, 0.95, 1.2] + 0.003) for mesh in face.meshes)
+    )
+    save_parts(other, tmp_path / "other.usdc")
+    line = failed(capsys, "person", tmp_path / "other.usdc", "-o", tmp_path / "no.fpb", folder=tmp_path)
+    assert "not the built-in head, expected --database" in line
+    words = ("--template", tmp_path / "template.usdc", "--within", "0.05")
+    done(capsys, "person", tmp_path / "other.usdc", "-o", tmp_path / "other.fpb", *words)
+    words = (tmp_path / "template.usdc", tmp_path / "other.fpb")
+    done(capsys, "apply-bones", *words, "-o", tmp_path / "again.usdc")
+    again = facepipe.open(tmp_path / "again.usdc").parts()
+    assert distances(whole_points(again), whole_points(other)).max() <= 0.05
+    line = failed(capsys, "apply-bones", tmp_path / "other.usdc", words[1], "-o", tmp_path / "no.usdc", folder=tmp_path)
+    assert "a person on another basis" in line
+
+
+def test_a_studios_faces_are_a_basis(tmp_path: Path, capsys: Capsys) -> None:
+    """A database of bare heads: a face made of its own modes needs no points."""
+    rng, paths = np.random.default_rng(0), []
+    face = tiny_face()
+    for number in range(5):
+        stretch = rng.normal(1, 0.05, 3)
+        moved = tuple(replace(mesh, points=mesh.points * stretch) for mesh in face.meshes)
+        paths.append(tmp_path / f"face{number}.usdc")
+        save_parts(replace(face, meshes=moved), paths[-1])
+    done(capsys, "database", "create", *paths[:4], "-o", tmp_path / "studio.fpdb", quiet=False)
+    words = ("--database", tmp_path / "studio.fpdb")
+    told = json.loads(done(capsys, "person", paths[4], "-o", tmp_path / "five.fpb", *words, "--json"))
+    assert (told["basis"], told["max_mm"] <= 1.0) == ("studio.fpdb", True)
+    done(capsys, "apply-bones", paths[0], tmp_path / "five.fpb", *words, "-o", tmp_path / "again.usdc")
+    again = facepipe.open(tmp_path / "again.usdc").parts()
+    off = distances(whole_points(again), whole_points(facepipe.open(paths[4]).parts()))
+    assert off.max() == pytest.approx(told["max_mm"], abs=1e-3)
+
+
+def content(**changes: object) -> bytes:
+    basis = head_basis()
+    usual = PersonContent(basis=basis.digest, modes=np.full(100, 0.5, np.float16), parts=np.zeros((3, 7), np.float16))
+    return encode_person(replace(usual, **changes))  # type: ignore[arg-type]
+
+
+def test_sections_that_are_not_known(tmp_path: Path, capsys: Capsys) -> None:
+    save_parts(make(0), tmp_path / "head.usdc")
+    sections = unpack(content(), "person")
+    words = ("apply-bones", tmp_path / "head.usdc", tmp_path / "one.fpb", "-o", tmp_path / "out.usdc")
+    (tmp_path / "one.fpb").write_bytes(pack([*sections, Section(99, b"look", required=True)]))
+    assert "section of kind 99, which this version" in failed(capsys, *words, folder=tmp_path)
+    (tmp_path / "one.fpb").write_bytes(pack([*sections, Section(99, b"look", required=False)]))
+    code, out, err = run(capsys, *words)
+    assert code == 1
+    assert "left out: section of kind 99, not known" in err
+    assert (tmp_path / "out.usdc").exists()
+    code, out, _ = run(capsys, *words[:3], "--info", "--json")
+    assert (code, json.loads(out)["left_out"], json.loads(out)["fits"]) == (1, [99], True)
+    failed(capsys, *words[:3], "-o", tmp_path / "no.usdc", "--clamp", folder=tmp_path)
+
+
+def test_readers_of_coefficients_refuse_persons_in_one_line() -> None:
+    with pytest.raises(InputError, match=r"^person: version 2, expected 1$"):
+        read_header(content(), "person")
+
+
+def mended(body: bytes) -> bytes:
+    """With the CRC that it should have."""
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+_SIZE = 8  # of the header
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "no person, expected a file that begins with FPBC"),
+        (content()[:-5], "its CRC differs"),
+        (mended(content()[:6] + b"\1\0" + content()[8:-4]), "flags 0x0001, expected none"),
+        (mended(content()[:-4] + b"\xff"), "a length without end"),
+        (mended(content()[:-4] + b"\xff\xff\xff\xff\xff\xff\x01"), "a length without end"),
+        (mended(content()[:-4] + b"\xff\x80\x00"), "needless bytes"),
+        (mended(content()[:-4] + b"\xff\x7f"), "127 bytes, expected at most the 0 that follow"),
+        (pack([Section(kind, b"") for kind in range(1, MOST_SECTIONS + 2)]), "more than 64 sections"),
+        (mended(content()[:_SIZE] + b"\x82\0\x81\0"), "kind 1, expected each once, ascending"),
+        (mended(content()[:_SIZE] + b"\x81\0" * 1_000_000), "kind 1, expected each once, ascending"),
+        (mended(content()[:_SIZE] + b"\x80\0"), "kind 0, expected each once"),
+        (pack([Section(MODES, b"ab")]), "names no basis"),
+        (pack([Section(BASIS, b"ab")]), "2 bytes, expected 8"),
+        (pack([Section(BASIS, bytes(8)), Section(MODES, b"abc")]), "3 bytes, expected 1 to 4096 times 2"),
+        (pack([Section(BASIS, bytes(8)), Section(MODES, b"\0\x7e")]), "mode 0: nan, expected at most 100"),
+        (pack([Section(BASIS, bytes(8)), Section(MODES, b"\0\x7b")]), "mode 0: 57344, expected at most 100"),
+        (pack([Section(BASIS, bytes(8)), Section(3, struct.pack("<7f", 0, 0, 0, 0.9, 0.9, 0, 0))]), "placement 0"),
+        (pack([Section(BASIS, bytes(8)), Section(3, struct.pack("<7f", 0, 0, 0, 0, 0, 0, 9))]), "placement 0"),
+        (pack([Section(BASIS, bytes(8)), Section(4, bytes(8)), Section(5, bytes(14))]), "with turns and without"),
+        (pack([Section(BASIS, bytes(8))]), "another basis (0000000000000000)"),
+        (content(modes=np.zeros(101, np.float16)), "101 modes, expected at most the 100"),
+        (content(parts=np.zeros((2, 7), np.float16)), "2 parts, expected the 3 of its basis or none"),
+        (content(points=b"abc"), "-> points: 3 bytes, expected at least 5"),
+    ],
+)
+def test_what_is_wrong_is_said(data: bytes, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        head_basis().rebuilt(decode_person(data, "person"), "person")
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("person")
+
+
+def test_no_flip_and_no_cut_gives_another_person() -> None:
+    data, _ = encode_points(head_basis(), whole_points(drawn(3)), within=0.5)
+    rng = np.random.default_rng(0)
+    for place in range(0, 8 * len(data), 7):
+        broken = bytearray(data)
+        broken[place // 8] ^= 1 << place % 8
+        with pytest.raises(InputError):
+            decode_person(bytes(broken), "person")
+    for end in rng.integers(0, len(data), 200):
+        with pytest.raises(InputError):
+            decode_person(data[:end], "person")
+
+
+def test_bytes_under_a_sound_crc_are_refused_or_make_a_face_in_bounds() -> None:
+    data, _ = encode_points(head_basis(), whole_points(drawn(3)), within=0.5)
+    sections = {section.kind: section for section in unpack(data, "person")}
+    assert POINTS in sections
+    rng, made = np.random.default_rng(1), 0
+    for _ in range(400):
+        body = bytearray(data[:-4])
+        for place in rng.integers(18, len(body), rng.integers(1, 5)):
+            body[place] = rng.integers(0, 256)
+        try:
+            points = head_basis().rebuilt(decode_person(mended(bytes(body)), "person"), "person")
+        except InputError:
+            continue
+        made += 1
+        assert np.isfinite(points).all()
+        assert np.abs(points).max() < 1e6
+    assert made > 20, "that all were refused says nothing of what is made of them"
