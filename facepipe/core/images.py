@@ -26,7 +26,7 @@ FREE_PIXELS, PER_BYTE = 1 << 24, 16  # of any file: 4096 x 4096; and for each of
 _MOST_PARTS = 1000  # chunks of a PNG beside those of its pixels, segments of a JPEG, its scans: each costs time
 _MOST_PNG = 1 << 28  # bytes of a picture that is read as it is
 _BAND = 1 << 20  # pixels converted at once
-_HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1")
+_HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypheim", b"ftypheis", b"ftypmif1")
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"RIFF", b"II*\x00", b"MM\x00*", b"v/1\x01", b"#?RADIANCE")
 
@@ -93,9 +93,13 @@ def open_image(
             raise InputError(where, f"more than {_MOST_PARTS} {what}")
         if data.startswith(_JPEG) and data.count(b"\xff\xda") > _MOST_PARTS // 10:
             raise InputError(where, f"more than {_MOST_PARTS // 10} scans")
-        if data[4:12] in _HEIC:
-            raise InputError(where, f"is HEIC, expected {expected}")
         Pillow.init()
+        if data[4:12] in _HEIC:
+            if formats is None or "HEIF" not in formats:
+                raise InputError(where, f"is HEIC, expected {expected}")
+            import pi_heif
+
+            pi_heif.register_heif_opener()
         known = None if formats is None else [one for one in formats if one in Pillow.OPEN]
         image: Image = Pillow.open(io.BytesIO(data), formats=known)
     most = min(FREE_PIXELS + PER_BYTE * len(data), MOST_PIXELS)

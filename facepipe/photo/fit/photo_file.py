@@ -24,8 +24,8 @@ LARGEST = 2048  # pixels a side: a face that fills an eighth of the picture stil
 SMALLEST = 64  # pixels a side: a smaller picture shows no face worth fitting
 _MOST_BYTES = 1 << 28
 _ORIENTATION = 0x0112  # the tag in EXIF
-_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "AVIF", "JPEG2000", "BMP", "GIF", "PPM", "TGA")
-_EXPECTED = "a picture (JPEG, PNG, WebP, TIFF, AVIF, JPEG 2000, BMP, GIF, PPM or TGA)"
+_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "AVIF", "JPEG2000", "BMP", "GIF", "PPM", "TGA", "HEIF")
+_EXPECTED = "a picture (JPEG, PNG, WebP, TIFF, AVIF, JPEG 2000, BMP, GIF, PPM, TGA or HEIC)"
 
 
 def expanded(image: Image, where: str) -> Image:
