@@ -502,7 +502,7 @@ def fit_neutral(
     """
 
 def fit_photo(
-    face: str | os.PathLike[str],
+    face: str | os.PathLike[str] | None = None,
     *,
     out: str | os.PathLike[str],
     overwrite: bool = False,
@@ -535,6 +535,7 @@ def fit_photo(
     landmark_threshold: float = 8.0,
     landmark_weight: float = 1.0,
     report: str | os.PathLike[str] | None = None,
+    person: str | os.PathLike[str] | None = None,
 ) -> PhotoFitReport:
     """Find a person's sliders in photos: `facepipe fit-photo`.
 
@@ -553,7 +554,7 @@ def fit_photo(
     :param hue: weight of the difference in hue between the key light and the light around it
     :param landmark_sigma: expected landmark error, as a share of the distance of the outer eye corners
     :param focal_sigma: spread of the focal length around a portrait lens, as a natural logarithm
-    :param face: face stage, after the photos
+    :param face: face stage, after the photos (default the built-in head)
     :param photos: photos of one person, before the face
     :param landmarks: landmarks of a photo, in the order of the photos
     :param landmarker: find landmarks by MediaPipe: its model face_landmarker.task
@@ -567,6 +568,7 @@ def fit_photo(
     :param landmark_threshold: mean error, percent of the distance of the outer eye corners, above which the exit code is 1
     :param landmark_weight: weight of the landmarks
     :param report: folder to make: report, pictures, landmarks
+    :param person: payload of the person, as of `facepipe person`
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there
     :param flatten: write a standalone file

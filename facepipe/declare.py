@@ -92,13 +92,15 @@ def source(
     return _declared(default, {"help": help, "role": "source", **way})
 
 
-def beside(help: str, suffix: str, write: str, *, holds: str = "") -> Any:
+def beside(help: str, suffix: str, write: str, *, holds: str = "", instead: bool = False) -> Any:
     """A field of an action for a file, or folder (no suffix), that is written beside the result where it is asked for.
 
     :param write: the method that writes it: (face, report, path) -> its entry in the JSON, or None
     :param holds: pattern of the names in the folder, with "/" below it
+    :param instead: the command line may ask for it without a result
     """
-    written = {"suffix": suffix, "write": write, "holds": holds, "metavar": suffix.removeprefix(".").upper() or "DIR"}
+    named = {"holds": holds, "instead": instead}
+    written = {**named, "suffix": suffix, "write": write, "metavar": suffix.removeprefix(".").upper() or "DIR"}
     return _declared(None, {"help": help, "role": "beside", "kept": False, **written})
 
 
@@ -157,6 +159,7 @@ class Field:
     suffix: str = ""
     write: str = ""
     holds: str = ""
+    instead: bool = False
 
     @property
     def stands_alone(self) -> bool:

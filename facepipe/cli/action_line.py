@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,11 +84,19 @@ class ActionLine:
         arguments.output = arguments.output or getattr(arguments, "out", None)
         in_place = isinstance(action, InPlaceAction) and arguments.output is None
         a_folder = isinstance(action, FolderAction) and arguments.output is not None  # which is checked with the rest
-        out = action.base if in_place else arguments.output if a_folder else output_or_edited(arguments, inputs)
-        check_result(action, out, [*inputs, *([arguments.edit] if kept else [])], overwrite=arguments.force)
-        flatten = arguments.flatten or (kept is not None and kept.standalone)
-        waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
-        done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
+        with ExitStack() as files:
+            instead = None if arguments.output or kept else _instead(action)
+            if instead is not None:
+                out = Path(files.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))) / "made.usdc"
+            elif in_place or a_folder:
+                out = action.base if in_place else arguments.output
+            else:
+                out = output_or_edited(arguments, inputs)
+            check_result(action, out, [*inputs, *([arguments.edit] if kept else [])], overwrite=arguments.force)
+            flatten = arguments.flatten or (kept is not None and kept.standalone)
+            waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
+            done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
+        out = instead or out
         warn(done.report.warnings)
         if arguments.json:
             result = {"path": str(out), **done.report.to_dict(), **done.beside}
@@ -100,6 +110,12 @@ class ActionLine:
             text.append(f"{one['path']}: {one['bytes']:,} bytes" if isinstance(one, Mapping) else str(one))
         emit({}, "\n".join(text), as_json=False)
         return 1 if action.missed(done.report) else 0
+
+
+def _instead(action: Action[Any]) -> Path | None:
+    """The file that is asked for where no result is."""
+    asked = (getattr(action, field.name) for field in fields_of(type(action)) if field.instead)
+    return next((path for path in asked if path is not None), None)
 
 
 class ActionGroup:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+PICTURE_SUFFIXES = (*PHOTO_SUFFIXES, ".heic", ".heif", ".avif", ".jp2", ".gif", ".ppm", ".tga")
 MOST_PIXELS = 128_000_000  # a little more than a phone of 108 megapixels makes
 FREE_PIXELS, PER_BYTE = 1 << 24, 16  # of any file: 4096 x 4096; and for each of its bytes
 _MOST_PARTS = 1000  # chunks of a PNG beside those of its pixels, segments of a JPEG, its scans: each costs time

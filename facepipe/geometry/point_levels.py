@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -96,23 +95,27 @@ class PointLevels:
             known = np.sort(np.append(known, own))
         return rows, tuple(levels)
 
-    def encode(self, offsets: FloatArray, step: float, coarse: int | None = None) -> tuple[bytes, FloatArray]:
+    def encode(
+        self, offsets: FloatArray, step: float, coarse: int | None = None, care: FloatArray | None = None
+    ) -> tuple[bytes, FloatArray]:
         """Offsets (n, 3) in millimetres as bytes, and as a reader gets them.
 
         :param step: millimetres; of an axis a point is off by `_DEAD` of it at most
         :param coarse: levels that are sent, the coarsest first; finer ones are predicted. None: all
+        :param care: (n,) above 0 to 1, how much it matters where a point is: less has few bytes; None: 1 for all
         """
         first, levels = self._levels
         sent = len(levels) if coarse is None else min(coarse, len(levels))
         head = _HEAD.pack(step, sent)
         step = _HEAD.unpack(head)[0]
-        wanted = offsets if sent == len(levels) else self._standing_for(offsets, sent)
+        wanted = offsets if sent == len(levels) else self._standing_for(offsets, sent, care)
         writer, got, steps = BitWriter(_CONTEXTS), np.zeros_like(offsets), np.zeros(offsets.shape, np.int64)
         for number, rows in enumerate((first, *(level.rows for level in levels[:sent]))):
             size = step * _FINER ** (number - sent)
             predicted = np.zeros((len(rows), 3)) if not number else _predicted(levels[number - 1], got)
             ratio = (wanted[rows] - predicted) / size
-            own = (np.sign(ratio) * np.floor(np.abs(ratio) + 1.0 - (_DEAD if number else 0.5))).astype(np.int64)
+            dead = (_DEAD if number else 0.5) / (1.0 if care is None else care[rows, None])
+            own = (np.sign(ratio) * np.floor(np.maximum(np.abs(ratio) + 1.0 - dead, 0.0))).astype(np.int64)
             around = _around(None if not number else levels[number - 1], steps, len(rows))
             _write(writer, own, around)
             steps[rows], got[rows] = own, predicted + own * size
@@ -120,22 +123,24 @@ class PointLevels:
             got[level.rows] = _predicted(level, got)
         return head + writer.bytes(), got
 
-    def _standing_for(self, offsets: FloatArray, sent: int) -> FloatArray:
+    def _standing_for(self, offsets: FloatArray, sent: int, care: FloatArray | None) -> FloatArray:
         """(n, 3) offsets of the points of the levels that are sent whose predictions come nearest to all (n, 3)."""
-        known, shares, solve = self._spread(sent)
+        from scipy.sparse.linalg import splu
+
+        known, shares = self._spread(sent)
+        weighted = shares if care is None else shares.multiply(care[:, None] ** 2).tocsr()
         wanted = np.zeros_like(offsets)
-        wanted[known] = solve(shares.T @ offsets)
+        wanted[known] = splu((shares.T @ weighted).tocsc()).solve(weighted.T @ offsets)
         return wanted
 
-    def _spread(self, sent: int) -> tuple[IntArray, Any, Callable[[FloatArray], FloatArray]]:
-        """Of the coarsest levels: points (m,), sparse (n, m) of what all take of their offsets, and their least squares."""
-        from scipy.sparse import csr_array, vstack
-        from scipy.sparse.linalg import splu
+    def _spread(self, sent: int) -> tuple[IntArray, Any]:
+        """Of the coarsest levels: points (m,), and what all take of their offsets, sparse (n, m)."""
+        from scipy.sparse import csr_array, eye_array, vstack
 
         if sent not in self._spreads:
             first, levels = self._levels
             known = np.concatenate([first, *(level.rows for level in levels[:sent])])
-            order, whole = known, csr_array(np.eye(len(known)))
+            order, whole = known, csr_array(eye_array(len(known)))
             for level in levels[sent:]:
                 place = np.empty(len(self.points), np.int64)
                 place[order] = np.arange(len(order))
@@ -144,12 +149,11 @@ class PointLevels:
                 own = csr_array((level.shares.ravel(), place[level.neighbours].ravel(), ends), (count, len(order)))
                 whole = vstack([whole, own @ whole], format="csr")
                 order = np.append(order, level.rows)
-            spread = whole[np.argsort(order)]
-            self._spreads[sent] = known, spread, splu((spread.T @ spread).tocsc()).solve
+            self._spreads[sent] = known, whole[np.argsort(order)]
         return self._spreads[sent]
 
     @cached_property
-    def _spreads(self) -> dict[int, tuple[IntArray, Any, Callable[[FloatArray], FloatArray]]]:
+    def _spreads(self) -> dict[int, tuple[IntArray, Any]]:
         return {}
 
     def decode(self, data: bytes, where: object) -> FloatArray:

@@ -24,6 +24,7 @@ from facepipe.kinds import FileAction, Job, action
 
 if TYPE_CHECKING:
     from facepipe.core.arrays import FloatArray
+    from facepipe.parts import FaceParts
     from facepipe.verbs.person_layers import PersonLayer
 
 _WITHIN_MM = 1.0
@@ -91,44 +92,58 @@ class WritePerson(FileAction[PersonReport]):
 
     def write(self, job: Job) -> PersonReport:
         from facepipe.core.atomic import write_bytes
+        from facepipe.importers import read_face
 
         with job.watch("person", 1) as bar:
-            data, report = self._encoded()
+            parts, how = read_face(self.face).parts(), {"template": self.template, "database": self.database}
+            data, report = encoded_person(parts, str(self.face), within=self.within, most=self.most, **how)
             bar.update()
         write_bytes(job.out, data)
         return report
-
-    def _encoded(self) -> tuple[bytes, PersonReport]:
-        from facepipe.importers import read_face
-        from facepipe.rig import set_face
-        from facepipe.verbs.person_basis import basis_of
-        from facepipe.verbs.person_layers import encode_points
-        from facepipe.verbs.whole_faces import whole_points
-
-        parts = read_face(self.face).parts()
-        basis = basis_of(parts, str(self.face), template=self.template, database=self.database)
-        points = whole_points(basis.known(set_face(parts).parts, str(self.face)))
-        within = _WITHIN_MM if self.within is None and self.most is None else self.within
-        data, layers = encode_points(basis, points, within=within, most=self.most)
-        told = tuple(Layer.of(one, points) for one in layers)
-        if self.most is not None and len(data) > self.most:
-            raise InputError("--bytes", f"{self.most}, expected at least the {len(data)} that this person takes")
-        missed = within is not None and told[-1].max_mm > within
-        report = PersonReport(
-            bytes=len(data),
-            basis=basis.name,
-            digest=basis.digest.hex(),
-            layers=told,
-            mean_mm=told[-1].mean_mm,
-            max_mm=told[-1].max_mm,
-            missed=missed,
-            warnings=(f"{told[-1].max_mm:.2f} mm off where parts keep their shape, more than --within",)
-            if missed
-            else (),
-        )
-        return data, report
 
     def text(self, report: PersonReport, out: Path) -> str:
         rows = [(one.name, one.bytes, f"{one.mean_mm:.3f}", f"{one.max_mm:.3f}") for one in report.layers]
         lines = table([("layer", "bytes", "mean mm", "largest mm"), *rows])
         return f"{out}: {report.bytes:,} bytes on {report.basis} {report.digest}\n{lines}"
+
+
+def encoded_person(
+    parts: FaceParts,
+    where: str,
+    *,
+    template: Path | None = None,
+    database: Path | None = None,
+    within: float | None = None,
+    most: int | None = None,
+) -> tuple[bytes, PersonReport]:
+    """The payload of who a face is set to, and its report.
+
+    :param within: millimetres; where there is no `most` either, what the command has as its default
+    :param most: bytes
+    :raises InputError: a face without a basis, or fewer bytes than the person takes
+    """
+    from facepipe.rig import set_face
+    from facepipe.verbs.person_basis import basis_of
+    from facepipe.verbs.person_layers import encode_points
+    from facepipe.verbs.whole_faces import whole_points
+
+    basis = basis_of(parts, where, template=template, database=database)
+    points = whole_points(basis.known(set_face(parts).parts, where))
+    within = _WITHIN_MM if within is None and most is None else within
+    data, layers = encode_points(basis, points, within=within, most=most)
+    if most is not None and len(data) > most:
+        raise InputError("--bytes", f"{most}, expected at least the {len(data)} that this person takes")
+    told = tuple(Layer.of(one, points) for one in layers)
+    last = told[-1]
+    missed = within is not None and last.max_mm > within
+    report = PersonReport(
+        bytes=len(data),
+        basis=basis.name,
+        digest=basis.digest.hex(),
+        layers=told,
+        mean_mm=last.mean_mm,
+        max_mm=last.max_mm,
+        missed=missed,
+        warnings=(f"{last.max_mm:.2f} mm off where parts keep their shape, more than --within",) if missed else (),
+    )
+    return data, report

@@ -19,6 +19,8 @@ _LARGEST_OF_STEP = 0.92  # of a step: how far off a point is at most, 0.53 on ea
 _TURNED = 2e-3  # of a quaternion: a part of 12 mm is off by 0.05 mm without its turn
 _FINEST, _COARSEST = 0.01, 100.0  # millimetres of a step
 _HALVINGS = 10
+_UNSEEN = 0.3  # how much it matters where points are that modes are not fitted to, the mouth's inside: half the bytes
+_LARGEST = 0.02  # of the farthest point counts beside the mean: finest levels are sent once there is room for them
 _POINTS_A_BYTE = 1.5  # of the finest level that is sent, about
 
 
@@ -131,18 +133,24 @@ def _placement(similarity: Similarity, about: FloatArray) -> FloatArray:
 
 def _within_bytes(basis: Basis, off: FloatArray, most: int) -> bytes:
     """Points (n, 3) as near as so many bytes bring them on average; b"" where there is no room for any."""
-    sizes = basis.levels.sizes
+    care = np.where(np.isin(basis.sent, basis.fitted), 1.0, _UNSEEN)
+    sizes, weights = basis.levels.sizes, care / care.sum()
     middle = int(np.searchsorted(np.cumsum(sizes), _POINTS_A_BYTE * most))
-    best, nearest = b"", float(np.linalg.norm(off, axis=1).mean())
+
+    def score(left: FloatArray) -> float:
+        apart = np.linalg.norm(left, axis=1)
+        return float(apart @ weights + _LARGEST * apart[care == 1.0].max(initial=0.0))
+
+    best, nearest = b"", score(off)
     for coarse in range(max(middle - 1, 0), min(middle + 2, len(sizes))):
         low, high = _FINEST, _COARSEST
         for _ in range(_HALVINGS):
             step = float(np.sqrt(low * high))
-            data, got = basis.levels.encode(off, step, coarse)
+            data, got = basis.levels.encode(off, step, coarse, care)
             if len(data) > most:
                 low = step
                 continue
-            high, mean = step, float(np.linalg.norm(got - off, axis=1).mean())
-            if mean < nearest:
-                best, nearest = data, mean
+            high, near = step, score(got - off)
+            if near < nearest:
+                best, nearest = data, near
     return best

@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 import photo_files
 import pytest
-from command_line import exit_code, failed
+from command_line import exit_code, failed, run
 from faces import with_meshes
 from feature_graphs import coarse_picture, save
 from onnx import TensorProto, helper
@@ -29,6 +29,7 @@ from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.performing import read_kept
 from facepipe.photo.fit import FitPhoto, read_landmarks, read_photo
+from facepipe.rig import set_face
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
@@ -93,6 +94,25 @@ def test_the_stage_holds_person_and_expression_apart(fitted: Path) -> None:
     assert dict(zip(pose.shapes, pose.shape_weights[0], strict=True))["jawOpen"] > EXPRESSION["jawOpen"] / 2
     (view,) = face.photos
     assert (view.image, view.width, view.height) == ("front.png", SIZE, SIZE)
+
+
+def test_a_person_is_a_payload_without_a_face_or_a_result(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Onto the head in the box, which the line does not name; with a result the same bytes."""
+    before = contents(studio)
+    words = ("front.png", "--landmarks", "front.json", *SOON, "--person", "me.fpb")
+    run(capsys, "fit-photo", *words, "--json")
+    assert contents(studio).keys() - before.keys() == {"me.fpb"}
+    data = Path("me.fpb").read_bytes()
+    assert len(data) < 400
+    _, out, _ = run(capsys, "fit-photo", *words, "-o", "me.usdc", "--json", "--force")
+    told = json.loads(out)["person"]
+    assert (Path("me.fpb").read_bytes(), told["bytes"]) == (data, len(data))
+    assert told["max_mm"] <= 1.0
+    assert exit_code("sample", "standard.usdc") == 0
+    assert exit_code("apply-bones", "standard.usdc", "me.fpb", "-o", "again.usdc") == 0
+    one, other = (set_face(facepipe.open(name).parts()).parts for name in ("me.usdc", "again.usdc"))
+    points = [np.concatenate([mesh.points for mesh in parts.meshes[:5]]) for parts in (one, other)]
+    assert 10 * np.linalg.norm(points[0] - points[1], axis=1).mean() < 0.05
 
 
 def test_a_cook_fits_again_where_landmarks_were_mended(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -376,7 +396,7 @@ def _report_of_other_files() -> None:
 
 BAD = "bad.json"
 BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
-    "nothing": (None, (), "FACE: none given, expected face stage, after the photos (or --edit RESULT)"),
+    "nothing": (None, (), "PHOTO: none given, expected photos of one person, before the face (or --edit RESULT)"),
     "no photo": (None, ("head.usdc",), "PHOTO: none given, expected photos of one person"),
     "no such photo": (None, ("lost.png", *ONE[1:]), "lost.png"),
     "no such face": (None, ("front.png", "lost.usda", *ONE[2:]), "lost.usda"),

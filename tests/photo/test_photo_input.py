@@ -251,7 +251,7 @@ def test_pictures_cut_short_are_refused(tmp_path: Path, kind: str) -> None:
 
 
 def test_a_phones_heic_is_read_upright(tmp_path: Path) -> None:
-    """128 x 96 pixels of ramps, red to the right and green downward, turned a quarter clockwise by what the file says."""
+    """128 x 96 pixels of ramps, red to the right, green downward, turned a quarter clockwise by what the file says."""
     data = (Path(__file__).parent / "turned.heic").read_bytes()
     photo = read(tmp_path, data)
     assert photo.size == (96, 128)
@@ -260,7 +260,8 @@ def test_a_phones_heic_is_read_upright(tmp_path: Path) -> None:
     expected = np.stack([2 * down, 2.6 * (95 - across), np.full(down.shape, 128)], axis=2) / 255
     assert np.abs(photo.pixels - expected).mean() < 0.02
     for share in (0.3, 0.9):
-        assert "expected a picture" in (what := error(tmp_path, data[: int(share * len(data))])) or "cut short" in what
+        what = error(tmp_path, data[: int(share * len(data))])
+        assert "expected a picture" in what or "cut short" in what
 
 
 def test_what_is_no_picture_is_refused(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """Fit a face to photos of a person: slider values, and the expression, camera and light of each photo.
 
-FACE has sliders and the 68 landmarks `multipie68` (`facepipe sliders`, `facepipe landmarks`). Several photos show the
-same person and share the sliders. First landmarks are fitted, then the picture, by gradient descent on the joint loss;
-that needs `pip install 'facepipe[train]'`.
+FACE, the built-in head where none is given, has sliders and the 68 landmarks `multipie68` (`facepipe sliders`,
+`facepipe landmarks`). Several photos show the same person and share the sliders. First landmarks are fitted, then the
+picture, by gradient descent on the joint loss; that needs `pip install 'facepipe[train]'`.
 
 The photos' landmarks come from JSON files (--landmarks, one a photo, in order; 68 places or MediaPipe's 478), from
 MediaPipe (--landmarker) or, with neither, from facepipe's own network. Where a photo shows several faces, --face says
@@ -20,15 +20,17 @@ out of the fit, as a judge.
 OUT is an override layer over FACE and needs that file; hand on what --flatten writes. It holds the slider values, which
 can be set further (`facepipe sliders`), the neutral, which its skeleton plays, and for each photo a camera and the pose
 with the photo's expression. --report makes a folder: report.html, report.json, and for each photo the render from its
-camera, the overlay of mesh and landmarks, and the landmarks as JSON for --landmarks, to be mended by hand. Exit code 1:
-done, but landmarks or similarity miss their threshold, the person is like hardly anyone, or the loss was not finite and
-the best until then is kept.
+camera, the overlay of mesh and landmarks, and the landmarks as JSON for --landmarks, to be mended by hand. --person
+writes who it is as a payload of some hundred bytes (`facepipe person`), and needs no OUT. Exit code 1: done, but
+landmarks or similarity miss their threshold, the person is like hardly anyone, or the loss was not finite and the best
+until then is kept.
 
 The recipe stays on the result. --edit fits again from it with what the line changes: FACE alone is another face, PHOTO
 ... FACE also other photos. Without -o that is in place (with --force), and anything else authored in that file is lost.
 
 examples:
   facepipe fit-photo portrait.jpg head.usdc -o person.usdc --report person
+  facepipe fit-photo selfie.heic --person me.fpb
   facepipe fit-photo front.jpg side.jpg head.usdc --landmarks front.json --landmarks side.json -o person.usdc
   facepipe fit-photo --edit person.usdc --iterations 400 --sparsity 0.1 --force
 """
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
 _SHOWN = 5  # names of a list
 _HIDDEN = 0.5  # share of a region from which on it is named
 _OFF = 0.01  # of a slider's range, or a weight: what counts as set
+_TEXTURES = 2048  # texels a side of the built-in head's
 _AT_LIMIT = 0.005  # of a slider's range
 _NETWORK = "network for {}, .onnx or .pt2 (default facepipe's own)"
 _REPORT = r"report\.(html|json)|[^/]+\.(landmarks\.json|render\.png|overlay\.png)"
@@ -74,7 +77,7 @@ def _indices(words: Sequence[str]) -> tuple[int, ...]:
 class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"]):
     """The action."""
 
-    face: Path = source("face stage, after the photos")
+    face: Path | None = source("face stage, after the photos (default the built-in head)", default=None)
     photos: tuple[Path, ...] = source("photos of one person, before the face", flag="PHOTO")
     landmarks: tuple[Path, ...] = source(
         "landmarks of a photo, in the order of the photos", default=(), flag="--landmarks", metavar="JSON"
@@ -118,6 +121,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
     )
     landmark_weight: float = option(1.0, "weight of the landmarks", 0.0, 1e6)
     report: Path | None = beside("folder to make: report, pictures, landmarks", "", "write_report", holds=_REPORT)
+    person: Path | None = beside("payload of the person, as of `facepipe person`", ".fpb", "write_person", instead=True)
 
     own_flags = ("face", "photos")  # words without a flag, of which the last is the face
 
@@ -138,8 +142,24 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
     def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
         if not arguments.files:
             return values
+        from facepipe.core.images import PICTURE_SUFFIXES
+
         *photos, face = arguments.files
+        if face.suffix.lower() in PICTURE_SUFFIXES:
+            others = [photo for photo in photos if photo.suffix.lower() not in PICTURE_SUFFIXES]
+            if others:
+                raise InputError(face, f"comes after {others[0]}, expected photos before the face")
+            return {**values, "photos": tuple(arguments.files)}
         return {**values, "face": face, **({"photos": tuple(photos)} if photos else {})}
+
+    @property
+    def base(self) -> Path:
+        return self.photos[0] if self.face is None and self.photos else Path(self.face or "PHOTO")
+
+    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
+        from facepipe.heads import make
+
+        return (make(textures=_TEXTURES), ()) if self.face is None else None
 
     def check(self) -> None:
         super().check()
@@ -164,10 +184,13 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         from facepipe.photo.fit.report import Fitted, unseen_regions
         from facepipe.rig.conventions import ARKIT_SHAPES
         from facepipe.stage import Face
+        from facepipe.verbs.person_basis import basis_of
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
-        inputs, parts = self._inputs(), face.parts()
-        model, identity = None if self.start else person_model(parts, str(self.face), self.database), None
+        inputs, parts, where = self._inputs(), face.parts(), str(self.face or face.where)
+        if self.person is not None:
+            basis_of(parts, where, database=self.database)  # refuses a face without one before the work
+        model, identity = None if self.start else person_model(parts, where, self.database), None
         if model is None:
             fit = self._fit(parts, inputs, job.watch)
         else:
@@ -254,7 +277,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
                 subject = Subject.of(parts, self.expressions)
                 spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in pixels]
             except FacepipeError as error:
-                raise error.under(self.face) from None
+                raise error.under(self.face or self.base) from None
             start = load_start(self.start, subject).together(pixels, [each.points for each in marks], spaces)
         terms = {field.name: getattr(self, field.name) for field in fields(PhotoTermOptions)}
         options = PhotoFitOptions(**terms, landmarks=self.landmark_weight)
@@ -279,7 +302,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
             views = zip(fit.views, marks, strict=True)
             return replace(fit, views=tuple(replace(view, pupils=each.pupils) for view, each in views))
         except FacepipeError as error:
-            raise error.under(self.face) from None
+            raise error.under(self.face or self.base) from None
 
     def missed(self, report: PhotoFitReport) -> bool:
         return report.missed or bool(self._misses(report))
@@ -303,6 +326,16 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         from facepipe.photo.fit.report import write_folder
 
         write_folder(path, report.fitted, report)
+
+    def write_person(self, face: Face, report: PhotoFitReport, path: Path) -> dict[str, Any]:
+        """The payload, and what it leaves of the person."""
+        from facepipe.core.atomic import write_bytes
+        from facepipe.verbs.person import encoded_person
+
+        where = str(self.face or face.where)
+        data, told = encoded_person(face.parts(), where, database=self.database)
+        write_bytes(path, data)
+        return {"bytes": len(data), "mean_mm": told.mean_mm, "max_mm": told.max_mm}
 
     def text(self, report: PhotoFitReport, out: Path) -> str:
         from facepipe.photo.fit.report import ENDS
