@@ -100,7 +100,7 @@ class Contacts:
             for body in self.bodies
             if len(skin := body.skin if motion is None or moving[body.points].any() else body.skin[moving[body.skin]])
         ]
-        touched = self._graph.triangles[touching(self._graph.triangles, moving)]
+        touched = self._graph.triangles.take(np.flatnonzero(touching(self._graph.triangles, moving)), axis=0)
         folds = Folds(pose, [scene.source_poses[k] for k in range(len(self._stands))], touched)
         eyes: list[list[_Meeting | Folds]] = [[one] for one in meetings if one.body.ball is not None]
         # teeth, gums and lips together, which meet the same skin

@@ -83,6 +83,6 @@ class Folds:
 def _crossed(points: FloatArray, triangles: IntArray) -> FloatArray:
     """(3, t) normals of triangles (t, 3), twice as long as their areas: by columns, a fifth of the time of np.cross."""
     columns = np.ascontiguousarray(points.T)
-    a = columns[:, triangles[:, 0]]
-    (x, y, z), (u, v, w) = columns[:, triangles[:, 1]] - a, columns[:, triangles[:, 2]] - a
+    a, b, c = (columns.take(corner, axis=1) for corner in triangles.T)
+    (x, y, z), (u, v, w) = b - a, c - a
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
