@@ -13,13 +13,14 @@ nearest point of it over a bridge edge, each joint the points around it, and the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.geometry.factor import Factor, Solver, factorise
-from facepipe.geometry.polygons import distinct_edges
+from facepipe.geometry.factor import Factor, Solver, elimination_order, factorise
+from facepipe.geometry.polygons import components, distinct_edges
 
 SMALLEST_COTANGENT = 0.05  # obtuse and flat triangles: weights stay positive, so that a face keeps one solution
 LARGEST_COTANGENT = 20.0
@@ -119,10 +120,20 @@ def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
 class _Block:
     """One of the two solves: its points, and what the edges and bridges that end in them give them."""
 
-    points: IntArray  # (p,) into all points
-    divergence: Any  # (p, e + b) sparse: transposed incidence times weights; columns: all edges, then all bridges
+    points: IntArray  # (p,) into all points, in the order in which bi-Laplacians of some of them are factored
+    columns: IntArray  # (c,) the edges and, counted on, the bridges
+    ends: IntArray  # (c,) a point of each, into `points`
+    divergence: Any  # (p, c) sparse: transposed incidence times weights
     laplacian: Any  # (p, p) sparse: the divergence of the points' own differences
     component: IntArray  # (p,) number of the connected component
+    factor: Factor  # of the Laplacian
+
+    @cached_property
+    def square(self) -> Any:
+        """(p, p) sparse: the bi-Laplacian, of which those of moving points are parts."""
+        square = (self.laplacian @ self.laplacian).tocsr()
+        square.sort_indices()
+        return square
 
 
 class GradientSystem:
@@ -145,26 +156,20 @@ class GradientSystem:
         solver: Solver = "splu",
     ) -> None:
         self.edges, self.bridges, self.anchor, self.solver = edges, bridges, anchor, solver
-        nothing = Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
-        self._main = _block(edges, weights, nothing, main)
-        self._loose = _block(edges, weights, bridges, ~main)
-        self._anchor = int(np.searchsorted(self._main.points, anchor))
-        free = np.delete(np.arange(len(self._main.points)), self._anchor)
-        self._to_anchor = self._main.laplacian[free][:, [self._anchor]].tocsr()
-        self._main_factor = factorise(self._main.laplacian[free][:, free], solver)
-        self._loose_factor = factorise(self._loose.laplacian, solver)
+        component = components(len(main), edges)
+        self.main = _block(edges, weights, bridges, main, component, solver, anchor)
+        self.loose = _block(edges, weights, bridges, ~main, component, solver)
 
     def solve(self, edge_vectors: FloatArray, bridge_vectors: FloatArray, anchored: FloatArray) -> FloatArray:
         """(n, c) points whose differences come nearest to (e, c) edge and (b, c) bridge vectors, the anchor held.
 
         Bridge vectors go from the leader to the follower.
         """
-        points = np.empty((len(self._main.points) + len(self._loose.points), edge_vectors.shape[1]))
-        right = np.delete(self._main.divergence @ edge_vectors, self._anchor, axis=0)
-        solved = self._main_factor.solve(right - self._to_anchor @ anchored[None])
-        points[self._main.points] = np.insert(solved, self._anchor, anchored, axis=0)
+        main, loose = self.main, self.loose
+        points = np.empty((len(main.points) + len(loose.points), edge_vectors.shape[1]))
+        points[main.points] = main.factor.solve(main.divergence @ edge_vectors[main.columns]) + anchored
         vectors = np.concatenate([edge_vectors, bridge_vectors + points[self.bridges.leaders]])
-        points[self._loose.points] = self._loose_factor.solve(self._loose.divergence @ vectors)
+        points[loose.points] = loose.factor.solve(loose.divergence @ vectors[loose.columns])
         return points
 
     def moving(self, moving: BoolArray) -> MovingSystem:
@@ -175,96 +180,103 @@ class GradientSystem:
 class MovingSystem:
     """Offsets from edge vectors of offsets: least squares over ``|L u - M^T W d|`` with u = 0 at static points.
 
-    Where all of the main component moves, only the anchor holds it: it is `pinned`, and its offset must be given.
+    Where a component moves altogether its equations hold to the bit, as the neutral's do, and the neutral's factor
+    solves them: nearly all loose parts of a head's shapes do. The main one then is held by its anchor.
     """
 
     def __init__(self, system: GradientSystem, moving: BoolArray) -> None:
-        self._anchor, edge_count = system._anchor, len(system.edges)
-        self.pinned = bool(moving[system._main.points].all())
-        held = self._anchor if self.pinned else None
-        self._main = _Held(system._main, moving, edge_count, system.solver, held)
-        self._loose = _Held(system._loose, moving, edge_count, system.solver)
-        self.edges = np.concatenate([self._main.edges, self._loose.edges])
-        self.bridges = self._loose.bridges
-        self.points = np.concatenate([self._main.points, self._loose.points])
-        self._main_count = len(system._main.points)
-        self._leaders = np.searchsorted(system._main.points, system.bridges.leaders[self.bridges])
+        self._system, self._count = system, len(moving)
+        self._parts: list[_Whole | _Held] = []
+        for block in (system.main, system.loose):
+            free = moving[block.points]
+            whole = (np.bincount(block.component, ~free) == 0)[block.component]
+            held = free & ~whole
+            self._parts += [_Whole(block, whole)] if whole.any() else []
+            self._parts += [_Held(block, held, system.solver)] if held.any() else []
+        self._pinned = bool(moving[system.main.points].all())
+        self._columns = np.concatenate([np.zeros(0, np.int64), *(part.columns for part in self._parts)])
+        self._is_edge = self._columns < len(system.edges)
+        self.edges = self._columns[self._is_edge]
+        self.bridges = self._columns[~self._is_edge] - len(system.edges)
+        self.points = np.flatnonzero(moving)
 
     def solve(self, edge_vectors: FloatArray, bridge_vectors: FloatArray, anchored: FloatArray) -> FloatArray:
         """(p, c) offsets of `points`.
 
         :param edge_vectors: (q, c) those of `edges`; all others are 0
         :param bridge_vectors: (b, c) those of `bridges`, leader to follower; all others are 0
-        :param anchored: (c,) offset of the anchor, ignored where it is not pinned
+        :param anchored: (c,) offset of the anchor, ignored where not all of its component moves
         """
-        count = len(self._main.edges)
-        main = self._main.solve(edge_vectors[:count], anchored)
-        moved = np.zeros((self._main_count, edge_vectors.shape[1]))
-        moved[self._main.columns] = main
-        if self.pinned:
-            moved[self._anchor] = anchored
-        loose = self._loose.solve(np.concatenate([edge_vectors[count:], bridge_vectors + moved[self._leaders]]))
-        return np.concatenate([main, loose])
+        offsets = np.zeros((self._count, edge_vectors.shape[1]))
+        vectors = np.empty((len(self._columns), edge_vectors.shape[1]))
+        vectors[self._is_edge], vectors[~self._is_edge] = edge_vectors, bridge_vectors
+        start = 0
+        for part in self._parts:
+            own = vectors[start : start + len(part.columns)]
+            across = part.columns >= len(self._system.edges)
+            own[across] += offsets[self._system.bridges.leaders[part.columns[across] - len(self._system.edges)]]
+            offsets[part.points] = part.solve(own)
+            if self._pinned and not start:  # the main component, around the anchor
+                offsets[part.points] += anchored
+            start += len(part.columns)
+        return offsets[self.points]
 
     def compliance(self, points: IntArray) -> FloatArray:
-        """(p, m) how far each of the main component's moving points goes with a unit force on each of `points` (m,).
+        """(p, m) how far each of the moving points, all of the main component, goes with a unit force on each of
+        `points` (m,).
 
         Columns of the inverse of the bi-Laplacian, which is the same for all three coordinates.
         """
-        units = np.zeros((len(self._main.points), len(points)))
-        units[np.searchsorted(self._main.points, points), np.arange(len(points))] = 1.0
-        return self._main.factored(units)
+        (main,) = self._parts
+        ascending = np.argsort(main.points)
+        units = np.zeros((len(ascending), len(points)))
+        units[ascending[np.searchsorted(main.points, points, sorter=ascending)], np.arange(len(points))] = 1.0
+        return main.factor.solve(units)[ascending]
+
+
+class _Whole:
+    """The components of a block that move altogether."""
+
+    def __init__(self, block: _Block, chosen: BoolArray) -> None:
+        self._block, self._rows, self.factor = block, np.flatnonzero(chosen), block.factor
+        self._own = np.flatnonzero(chosen[block.ends])
+        self.points, self.columns = block.points[self._rows], block.columns[self._own]
+
+    def solve(self, vectors: FloatArray) -> FloatArray:
+        every = np.zeros((len(self._block.columns), vectors.shape[1]))
+        every[self._own] = vectors
+        return self.factor.solve(self._block.divergence @ every)[self._rows]
 
 
 class _Held:
-    """One block of a moving system."""
+    """Points of a block whose components are held at their static points."""
 
-    def __init__(
-        self, block: _Block, moving: BoolArray, edge_count: int, solver: Solver, held: int | None = None
-    ) -> None:
-        free = moving[block.points].copy()
-        if held is not None:
-            free[held] = False
-        self.columns = np.flatnonzero(free)
-        self.points = block.points[self.columns]
-        equations = block.laplacian[self.columns]  # symmetric: rows are columns
+    def __init__(self, block: _Block, chosen: BoolArray, solver: Solver) -> None:
+        columns = np.flatnonzero(chosen)
+        equations = block.laplacian[columns]  # symmetric: rows are columns
         rows = _used(equations)  # equations that the moving points have a part in
-        squeezed = equations[:, rows].tocsr()
-        # Where a component moves altogether its equations hold to the bit, and need no squares: loose parts of a head's
-        # shapes then take a third of the time. All but a held point do so too.
-        moved = np.bincount(block.component[self.columns], minlength=len(block.points))
-        whole = (moved == np.bincount(block.component, minlength=len(block.points)))[block.component[self.columns]]
-        self._tested = _with_units(squeezed, np.searchsorted(rows, self.columns), whole | (held is not None))
+        self._equations = equations[:, rows]
         divergence = block.divergence[rows]
         touched = _used(divergence)
-        self.edges, self.bridges = touched[touched < edge_count], touched[touched >= edge_count] - edge_count
-        self._divergence = divergence[:, touched].tocsr()
-        self._given = None if held is None else block.laplacian[rows][:, [held]].tocsr()
-        self._factor: Factor = factorise(self._tested @ squeezed.T, solver)
+        self.points, self.columns = block.points[columns], block.columns[touched]
+        self._divergence = divergence[:, touched]
+        self.factor: Factor = factorise(block.square[columns][:, columns].T, solver, ordered=True)
 
-    def solve(self, vectors: FloatArray, anchored: FloatArray | None = None) -> FloatArray:
-        right = self._divergence @ vectors
-        if self._given is not None and anchored is not None and anchored.any():
-            right = right - self._given @ anchored[None]
-        return self._factor.solve(self._tested @ right)
-
-    def factored(self, right: FloatArray) -> FloatArray:
-        """(p, m) solutions of the bi-Laplacian itself."""
-        return self._factor.solve(right)
+    def solve(self, vectors: FloatArray) -> FloatArray:
+        return self.factor.solve(self._equations @ (self._divergence @ vectors))
 
 
-def _with_units(matrix: Any, places: IntArray, chosen: BoolArray) -> Any:
-    """A sparse matrix (p, r) whose `chosen` rows (p,) have but a 1, each at its place (p,)."""
-    from scipy.sparse import csr_array
+class _Anchored:
+    """The factor of a connected component's Laplacian, one point of which stays at 0."""
 
-    if not chosen.any():
-        return matrix
-    count = len(places)
-    units = csr_array((chosen.astype(np.float64), places, np.arange(count + 1)), shape=matrix.shape)
-    kept = csr_array(
-        (matrix.data * np.repeat(~chosen, np.diff(matrix.indptr)), matrix.indices, matrix.indptr), matrix.shape
-    )
-    return kept + units
+    def __init__(self, laplacian: Any, anchor: int, solver: Solver) -> None:
+        self._free = np.delete(np.arange(laplacian.shape[0]), anchor)
+        self._factor = factorise(laplacian[self._free][:, self._free], solver)
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        solution = np.zeros_like(right)
+        solution[self._free] = self._factor.solve(right[self._free])
+        return solution
 
 
 def _used(matrix: Any) -> IntArray:
@@ -274,24 +286,38 @@ def _used(matrix: Any) -> IntArray:
     return np.flatnonzero(used)
 
 
-def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: BoolArray) -> _Block:
-    """The block of the points `inside`; bridges end in their followers alone, leaders are given."""
-    from scipy.sparse import csr_array, vstack
-    from scipy.sparse.csgraph import connected_components
+def _block(
+    edges: IntArray,
+    weights: FloatArray,
+    bridges: Bridges,
+    inside: BoolArray,
+    component: IntArray,
+    solver: Solver,
+    anchor: int | None = None,
+) -> _Block:
+    """The block of the points `inside`; bridges end in their followers alone, leaders are given.
 
-    points, rows, count = np.flatnonzero(inside), np.flatnonzero(inside[edges[:, 0]]), len(bridges.followers)
-    inner = incidence(np.searchsorted(points, edges[rows]), len(points))
-    followers = np.searchsorted(points, bridges.followers)
-    ends = csr_array((np.ones(count), (np.arange(count), followers)), shape=(count, len(points)))
-    gradient = vstack([inner, ends]).tocsr()
-    row_weights = np.concatenate([weights[rows], bridges.weights])
-    divergence = gradient.T.multiply(row_weights[None]).tocsr()
-    columns = np.concatenate([rows, len(edges) + np.arange(count)])
+    :param component: (n,) number of every point's connected component
+    :param anchor: the point that stays at 0
+    """
+    from scipy.sparse import csr_array, vstack
+
+    points, rows = np.flatnonzero(inside), np.flatnonzero(inside[edges[:, 0]])
+    across = np.flatnonzero(inside[bridges.followers])
+    own_edges, followers = np.searchsorted(points, edges[rows]), np.searchsorted(points, bridges.followers[across])
+    bridged = (np.ones(len(across)), (np.arange(len(across)), followers))
+    gradient = vstack([incidence(own_edges, len(points)), csr_array(bridged, shape=(len(across), len(points)))]).tocsr()
+    divergence = gradient.T.multiply(np.concatenate([weights[rows], bridges.weights[across]])[None]).tocsr()
     laplacian = (divergence @ gradient).tocsr()
-    everywhere = (divergence.data, columns[divergence.indices], divergence.indptr)
+    order = elimination_order(laplacian)
+    points, laplacian = points[order], laplacian[order][:, order]
+    held = None if anchor is None else int(np.flatnonzero(points == anchor)[0])
     return _Block(
         points=points,
-        divergence=csr_array(everywhere, shape=(len(points), len(edges) + count)),
+        columns=np.concatenate([rows, len(edges) + across]),
+        ends=np.argsort(order)[np.concatenate([own_edges[:, 0], followers])],
+        divergence=divergence[order],
         laplacian=laplacian,
-        component=connected_components(laplacian, directed=False)[1],
+        component=np.unique(component[points], return_inverse=True)[1].ravel(),
+        factor=factorise(laplacian, solver) if held is None else _Anchored(laplacian, held, solver),
     )

@@ -102,12 +102,12 @@ def pair_sculpts(
                 for blendshape, first, turn in own.get(shape, ()):
                     offsets[k, first + blendshape.point_indices] = _at(blendshape, weight) @ turn.T
             # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
-            lengths = np.linalg.norm(offsets[counted], axis=2) * sources.mm_per_unit
-            points = np.flatnonzero((lengths > threshold_mm).any(axis=0))
+            squares = np.einsum("kni,kni->kn", offsets[counted], offsets[counted])
+            points = np.flatnonzero((np.sqrt(squares) * sources.mm_per_unit > threshold_mm).any(axis=0))
             if shape in lost:
                 transfer.fill(offsets, points, lack)
             taken = offsets if motion is None else offsets[[motion] * len(offsets)]
-            sculpts.append(Sculpt(shape, weight, name, points, taken[:, points]))
+            sculpts.append(Sculpt(shape, weight, name, points, taken.take(points, axis=1)))
     return Sculpts(tuple(sculpts), tuple(skipped), tuple(transferred))
 
 
@@ -427,8 +427,6 @@ class Expression:
         offsets = np.zeros((len(self._moving), 3))
         if prepared.held:
             offsets[prepared.held.points] = prepared.held.solve(wanted, bridged, anchored)
-            if prepared.held.pinned:
-                offsets[graph.anchor] = anchored
         else:
             # the document's way (S605', S606'): solved freely, then cut off, which may leave a step where motion ends
             everywhere = np.zeros((len(graph.edges), 3))
