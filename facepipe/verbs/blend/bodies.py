@@ -58,6 +58,12 @@ class Body:
         return len(self.flesh) > 0
 
     @cached_property
+    def flesh_surface(self) -> tuple[IntArray, IntArray]:
+        """The flesh's points (p,) and its triangles (f, 3) into these."""
+        points, places = np.unique(self.flesh, return_inverse=True)
+        return points, places.reshape(-1, 3)
+
+    @cached_property
     def around(self) -> Any:
         """Sparse (p, t): the triangles of every point."""
         from scipy import sparse
@@ -156,7 +162,8 @@ class Surface:
 
     @cached_property
     def _flesh(self) -> WindingNumbers:
-        return WindingNumbers(self._pose, self.body.flesh)
+        points, triangles = self.body.flesh_surface
+        return WindingNumbers(self._pose.take(points, axis=0), triangles)
 
     def _depths(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """(m,) how deep `points` (m, 3) lie below the nearest place of the surface, (m, 3) the way out there, and
@@ -195,7 +202,7 @@ class Stand:
     def surface(self, body: Body, pose: FloatArray, moving: BoolArray) -> Surface:
         """A body in a pose (n, 3) of the face in which some points (n,) move."""
         rest = self._rest[body]
-        if not moving[body.flesh if body.soft else body.points].any():
+        if not moving[body.flesh_surface[0] if body.soft else body.points].any():
             return rest
         centre = None
         if body.ball is not None and rest.ball is not None:
