@@ -133,15 +133,16 @@ def place_shares(nearest: ClosestPlaces, surface_points: FloatArray, triangles: 
 
     A corner's share is the signed area of the triangle of the place and the other two corners, over the whole one's.
     """
-    corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[nearest.triangles]]
-    opposite = corners[:, [1, 2, 0]] - nearest.places[:, None], corners[:, [2, 0, 1]] - nearest.places[:, None]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas = np.maximum(np.einsum("mci,mi->mc", np.cross(*opposite), normal), 0.0)
+    corners = _columns(surface_points, np.asarray(triangles)[nearest.triangles])
+    normal = cross_columns(corners[1] - corners[0], corners[2] - corners[0])
+    a, b, c = corners - nearest.places.T
+    opposite = cross_columns(b, c), cross_columns(c, a), cross_columns(a, b)
+    areas = np.maximum(np.stack([dot_columns(one, normal) for one in opposite], axis=1), 0.0)
     # on an edge and at a corner from that alone: by areas, rounding would leave a share where there is exactly none
     edge = (nearest.features >= EDGE) & (nearest.features < INSIDE)
     rows = np.flatnonzero(edge)
     first = nearest.features[rows] - EDGE
-    starts, ends = corners[rows, first], corners[rows, (first + 1) % 3]
+    starts, ends = corners[first, :, rows], corners[(first + 1) % 3, :, rows]
     sides = ends - starts
     along = ((nearest.places[rows] - starts) * sides).sum(axis=1) / np.maximum((sides * sides).sum(axis=1), 1e-300)
     areas[rows] = 0.0
