@@ -122,8 +122,11 @@ class StageAction(Action[R]):
         """
         return ()
 
-    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
-        """The face to put the layer over where that is no file's, and warnings of it; None: it is that of `base`."""
+    def made_base(self) -> Face | tuple[FaceParts, tuple[str, ...]] | None:
+        """The face to put the layer over where that is no file's, and warnings of it; None: it is that of `base`.
+
+        That of `base` itself where it has been opened: a head's stage opens in a tenth of a second.
+        """
         return None
 
     @abstractmethod

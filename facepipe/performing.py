@@ -144,6 +144,9 @@ def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, over
 def _opened(action: StageAction[Any]) -> Iterator[tuple[Face, bool]]:
     """The face to put a layer over, and whether its file can't be that layer's: it is imported, or made."""
     path, made_base = action.base, action.made_base()
+    if isinstance(made_base, Face):
+        yield made_base, False
+        return
     if made_base is None:
         if path.suffix.lower() in SUFFIXES:
             yield open_face(path), False

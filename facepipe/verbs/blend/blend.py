@@ -109,9 +109,9 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
 
         return read_source(self.base)
 
-    def made_base(self) -> tuple[FaceParts, tuple[str, ...]] | None:
-        first = self._first  # kept: read once, though its stage is opened again
-        return None if first.file is None else (first.parts(), first.warnings)
+    def made_base(self) -> Face | tuple[FaceParts, tuple[str, ...]]:
+        first = self._first
+        return first if first.file is None else (first.parts(), first.warnings)
 
     @property
     def further_files(self) -> tuple[Path, ...]:
