@@ -240,13 +240,16 @@ class _DefaultOrdering:
 def timed_factors(default_ordering: bool) -> Clock:
     """The clock of every factor that blends make from here on."""
     from facepipe.geometry import gradient_system
-    from facepipe.geometry.factor import Solver, factorise
+    from facepipe.geometry.factor import Factor, Solver, factorise
 
     clock = Clock()
 
-    def timed(matrix: Any, solver: Solver = "auto") -> TimedFactor:
+    def timed(matrix: Any, solver: Solver = "auto", *, ordered: bool = False) -> TimedFactor:
         start = time.perf_counter()
-        factor = _DefaultOrdering(matrix) if default_ordering and matrix.shape[0] else factorise(matrix, solver)
+        if default_ordering and matrix.shape[0]:
+            factor: Factor = _DefaultOrdering(matrix)
+        else:
+            factor = factorise(matrix, solver, ordered=ordered)
         clock.factoring += time.perf_counter() - start
         return TimedFactor(factor, clock)
 

@@ -122,7 +122,6 @@ class _Block:
 
     points: IntArray  # (p,) into all points, in the order in which bi-Laplacians of some of them are factored
     columns: IntArray  # (c,) the edges and, counted on, the bridges
-    ends: IntArray  # (c,) a point of each, into `points`
     divergence: Any  # (p, c) sparse: transposed incidence times weights
     laplacian: Any  # (p, p) sparse: the divergence of the points' own differences
     component: IntArray  # (p,) number of the connected component
@@ -180,24 +179,25 @@ class GradientSystem:
 class MovingSystem:
     """Offsets from edge vectors of offsets: least squares over ``|L u - M^T W d|`` with u = 0 at static points.
 
-    Where a component moves altogether its equations hold to the bit, as the neutral's do, and the neutral's factor
-    solves them: nearly all loose parts of a head's shapes do. The main one then is held by its anchor.
+    Where a component moves altogether its equations hold to the bit, as the neutral's do, and need no squares: nearly
+    all loose parts of a head's shapes do. The main one then is held by its anchor.
     """
 
     def __init__(self, system: GradientSystem, moving: BoolArray) -> None:
-        self._system, self._count = system, len(moving)
+        self._count = len(moving)
         self._parts: list[_Whole | _Held] = []
         for block in (system.main, system.loose):
             free = moving[block.points]
             whole = (np.bincount(block.component, ~free) == 0)[block.component]
             held = free & ~whole
-            self._parts += [_Whole(block, whole)] if whole.any() else []
+            self._parts += [_Whole(block, whole, system.solver)] if whole.any() else []
             self._parts += [_Held(block, held, system.solver)] if held.any() else []
         self._pinned = bool(moving[system.main.points].all())
         self._columns = np.concatenate([np.zeros(0, np.int64), *(part.columns for part in self._parts)])
         self._is_edge = self._columns < len(system.edges)
         self.edges = self._columns[self._is_edge]
         self.bridges = self._columns[~self._is_edge] - len(system.edges)
+        self._leaders = system.bridges.leaders[self.bridges]
         self.points = np.flatnonzero(moving)
 
     def solve(self, edge_vectors: FloatArray, bridge_vectors: FloatArray, anchored: FloatArray) -> FloatArray:
@@ -212,12 +212,10 @@ class MovingSystem:
         vectors[self._is_edge], vectors[~self._is_edge] = edge_vectors, bridge_vectors
         start = 0
         for part in self._parts:
-            own = vectors[start : start + len(part.columns)]
-            across = part.columns >= len(self._system.edges)
-            own[across] += offsets[self._system.bridges.leaders[part.columns[across] - len(self._system.edges)]]
-            offsets[part.points] = part.solve(own)
-            if self._pinned and not start:  # the main component, around the anchor
-                offsets[part.points] += anchored
+            offsets[part.points] = part.solve(vectors[start : start + len(part.columns)])
+            if not start:  # the main component, which all bridges lead from; none leads to it
+                offsets[part.points] += anchored if self._pinned else 0.0
+                vectors[~self._is_edge] += offsets[self._leaders]
             start += len(part.columns)
         return offsets[self.points]
 
@@ -235,17 +233,19 @@ class MovingSystem:
 
 
 class _Whole:
-    """The components of a block that move altogether."""
+    """The components of a block that move altogether; with a factor of their own, as most shapes move few."""
 
-    def __init__(self, block: _Block, chosen: BoolArray) -> None:
-        self._block, self._rows, self.factor = block, np.flatnonzero(chosen), block.factor
-        self._own = np.flatnonzero(chosen[block.ends])
-        self.points, self.columns = block.points[self._rows], block.columns[self._own]
+    def __init__(self, block: _Block, chosen: BoolArray, solver: Solver) -> None:
+        rows = np.flatnonzero(chosen)
+        divergence = block.divergence[rows]
+        touched = _used(divergence)
+        self.points, self.columns = block.points[rows], block.columns[touched]
+        self._divergence = divergence[:, touched]
+        own = block.laplacian[rows][:, rows].T
+        self.factor = block.factor if chosen.all() else factorise(own, solver, ordered=True)
 
     def solve(self, vectors: FloatArray) -> FloatArray:
-        every = np.zeros((len(self._block.columns), vectors.shape[1]))
-        every[self._own] = vectors
-        return self.factor.solve(self._block.divergence @ every)[self._rows]
+        return self.factor.solve(self._divergence @ vectors)
 
 
 class _Held:
@@ -315,7 +315,6 @@ def _block(
     return _Block(
         points=points,
         columns=np.concatenate([rows, len(edges) + across]),
-        ends=np.argsort(order)[np.concatenate([own_edges[:, 0], followers])],
         divergence=divergence[order],
         laplacian=laplacian,
         component=np.unique(component[points], return_inverse=True)[1].ravel(),
