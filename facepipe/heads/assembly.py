@@ -181,6 +181,7 @@ def _with_looks(points: FloatArray, shapes: Shapes, heights: FloatArray | None =
 Gains = Sequence[tuple[Direction, float]]
 
 
+@cache
 def identity_sliders() -> tuple[Slider, ...]:
     """The sliders of measures, from -1 to 1; those of one side name their mirror."""
     by_name = {direction.name: direction for direction in directions()}

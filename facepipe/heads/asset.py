@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import as_file, files
 from typing import Any
 
@@ -63,6 +63,7 @@ class Asset:
         """The mesh that a point is in, and its number there."""
         return next((name, point - part.points.start) for name, part in self.parts.items() if point < part.points.stop)
 
+    @cached_property
     def links(self) -> Any:
         """Sparse (n, n), above 0 where an edge of a face joins two points."""
         from scipy.sparse import coo_array
@@ -138,7 +139,10 @@ def unpacked(planes: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
 
     Differences are folded, so that small ones of either sign are small numbers: 0, -1, 1, -2 ... as 0, 1, 2, 3 ...
     """
-    folded = planes[1].astype(np.uint16) << 8 | planes[0]
-    change = (folded >> 1).view(np.int16) ^ -(folded & 1).view(np.int16)
-    steps = np.cumsum(change, axis=2, dtype=np.int16)
-    return np.ascontiguousarray((steps * np.float32(STEP)).transpose(0, 2, 1))
+    _, count, _, points = planes.shape
+    result = np.empty((count, points, 3), np.float32)
+    for low, high, offsets in zip(*planes, result, strict=True):  # each in the cache: all at once took 3 times as long
+        folded = high.astype(np.uint16) << 8 | low
+        change = (folded >> 1).view(np.int16) ^ -(folded & 1).view(np.int16)
+        np.multiply(np.cumsum(change, axis=1, dtype=np.int16).T, np.float32(STEP), out=offsets)
+    return result

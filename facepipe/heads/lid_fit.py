@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -76,17 +77,16 @@ class Socket:
         lids, rings = data["lids"][number], data["lid_rings"]
         if around:
             lids, rings = _with_skin(lids, rings)
-        ball = head.parts[f"Eyeball{side}"].points
-        centre = fit_ball(head.points[ball]).centre
+        centre, reach = _eyeball(side)
         names = [path.rpartition("/")[2] for path in head.joints]
         joints = np.array([names.index(f"{lid}{side}") for lid in ("lidUpper", "lidLower")])
         own = head.skin_joints[lids] == joints[:, None, None]
         return cls(
             lids=lids,
             rings=rings,
-            ball=ball,
+            ball=head.parts[f"Eyeball{side}"].points,
             centre=centre,
-            reach=_reach(head.points[data["eye_shells"][number]] - centre),
+            reach=reach,
             turns={name: _turns(x, y * (1 - 2 * number)) for name, (x, y) in LOOKS.items()},
             beside=_beside(lids),
             joints=joints,
@@ -95,9 +95,17 @@ class Socket:
         )
 
 
+@cache
+def _eyeball(side: str) -> tuple[FloatArray, FloatArray]:
+    """The middle (3,) of an average eyeball, and the table of how far it reaches."""
+    head = asset()
+    centre = fit_ball(head.points[head.parts[f"Eyeball{side}"].points]).centre
+    return centre, _reach(head.points[arrays("lids")["eye_shells"][SIDES.index(side)]] - centre)
+
+
 def _with_skin(lids: IntArray, rings: IntArray) -> tuple[IntArray, IntArray]:
     """Points (k,) of lids and their rings, and those of `_AROUND` rings more."""
-    links = asset().links()
+    links = asset().links
     for ring in range(_RINGS, _RINGS + _AROUND):
         beyond = np.setdiff1d(np.flatnonzero(links[:, lids[rings == ring - 1]].sum(axis=1)), lids)
         lids, rings = np.append(lids, beyond), np.append(rings, np.full(len(beyond), ring))
@@ -129,7 +137,7 @@ def _turns(about_x: float, about_y: float) -> FloatArray:
 
 def _beside(lids: IntArray) -> csr_array:
     """(k, k) the mean over the points beside each of the points (k,) of the head; those of no lid count as 0."""
-    links = (asset().links()[lids] > 0).astype(np.float64)
+    links = (asset().links[lids] > 0).astype(np.float64)
     return csr_array(links / links.sum(axis=1)[:, None])[:, lids]
 
 

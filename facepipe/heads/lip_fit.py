@@ -79,7 +79,7 @@ def _heights(outline: FloatArray, at: FloatArray) -> FloatArray:
 def _lips() -> tuple[list[IntArray], list[IntArray]]:
     """Points of the upper and of the lower half of each loop, from the right corner of the mouth to the left."""
     head = asset()
-    links, count = head.links(), len(head.points)
+    links, count = head.links, len(head.points)
     seen = np.zeros(count, bool)
     seen[_INSIDE] = True
     loop = np.flatnonzero(seen)
