@@ -20,12 +20,18 @@ def gaussian_blur(picture: FloatArray, sigmas: float | tuple[float, float]) -> F
     down, across = sigmas if isinstance(sigmas, tuple) else (sigmas, sigmas)
     (above, columns), (beside, rows) = _weights(down, _ROWS), _weights(across, _COLUMNS)
     height, width = picture.shape
-    padded = np.pad(np.asarray(picture, np.float32), ((above, above), (beside, beside)), mode="symmetric")
-    result = np.empty((height, width), np.float32)
+    values, result = np.asarray(picture, np.float32), np.empty((height, width), np.float32)
+    # the places that mirrored edges show; the picture is not copied whole with them
+    lines, places = (np.pad(np.arange(n), r, mode="symmetric") for n, r in ((height, above), (width, beside)))
     strip = np.empty((_ROWS, width + 2 * beside), np.float32)
     for top in range(0, height, _ROWS):
         count = min(_ROWS, height - top)
-        np.matmul(columns[: count + 2 * above, :count].T, padded[top : top + count + 2 * above], out=strip[:count])
+        inside = above <= top and top + count + above <= height
+        shown = values[slice(top - above, top + count + above) if inside else lines[top : top + count + 2 * above]]
+        middle = strip[:count, beside : beside + width]
+        np.matmul(columns[: count + 2 * above, :count].T, shown, out=middle)
+        strip[:count, :beside] = middle[:, places[:beside]]
+        strip[:count, beside + width :] = middle[:, places[beside + width :]]
         for left in range(0, width, _COLUMNS):
             wide = min(_COLUMNS, width - left)
             made = result[top : top + count, left : left + wide]

@@ -336,7 +336,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures", *, closed: 
     :param closed: with lips that meet; else as far apart as the modes leave them
     """
     head = asset()
-    points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
+    points = head.person(identity)
     if closed:
         points = fit_lips(points)
     points, shapes = _with_parts_fitted(points)
@@ -443,7 +443,7 @@ def skeleton(points: FloatArray) -> Skeleton:
 @one_thread()
 def average() -> FaceParts:
     """The bare average head that modes add to, without materials: its lips are apart, where people's meet."""
-    return make_head(np.zeros(len(asset().modes)), closed=False)
+    return make_head(np.zeros(asset().packed_modes.shape[1]), closed=False)
 
 
 def modes() -> FloatArray:

@@ -7,7 +7,7 @@ is coarse is made of the place in space, so that both tiles agree where they mee
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from io import BytesIO
@@ -69,13 +69,28 @@ _TEARS = 0.05  # cm that they stand up along the eyeball
 _FLESH = np.array([0.52, 0.20, 0.18])
 
 
+class Masks(Mapping[str, FloatArray]):
+    """Kinds of skin by name, (h, w) of 0..1, made of bytes when they are asked for: all together are 22 MB."""
+
+    def __init__(self, planes: Any) -> None:
+        """:param planes: (names, h, w) bytes"""
+        self._planes = dict(zip(map(str, arrays("skin_maps")["names"]), planes, strict=True))
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return np.asarray(self._planes[name].astype(np.float32) / 255)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._planes)
+
+    def __len__(self) -> int:
+        return len(self._planes)
+
+
 @cache
-def masks(tile: int, step: int = 1) -> Mapping[str, FloatArray]:
-    """Kinds of skin by name, (512, 512) of 0..1, top row first, or every `step`-th of them."""
+def masks(tile: int, step: int = 1) -> Masks:
+    """The kinds of skin of a tile, (512, 512), top row first, or every `step`-th place of them."""
     planes = np.moveaxis(arrays("skin_maps")[f"{TILES[tile]}_masks"][::step, ::step], -1, 0)
-    values = np.ascontiguousarray(planes).astype(np.float32) / 255
-    values.flags.writeable = False
-    return dict(zip(map(str, arrays("skin_maps")["names"]), values, strict=True))
+    return Masks(np.ascontiguousarray(planes))
 
 
 def _places(tile: int) -> FloatArray:
@@ -328,7 +343,8 @@ def _height(look: Look, tile: int, size: int) -> FloatArray:
     sweaty, bare, lips = Enlarged(pores, size), Enlarged(skin, size), Enlarged(m["lips"], size).whole()
     pits = gaussian_blur(_dots(rng, Enlarged(np.full((1, 1), 0.012 / scale**2), size), size), 1.4 * scale)
     grain = rng.standard_normal((size, size), np.float32)
-    fine = gaussian_blur(grain, 1.0 * scale), gaussian_blur(grain, 2.8 * scale)
+    fine = gaussian_blur(grain, 1.0 * scale)
+    fine -= gaussian_blur(grain, 2.8 * scale)
     soft = np.float32(_TEARS) * m["wet_line"]
     if look.worn and TILES[tile] == "face":
         crossed = np.zeros((512, 512), np.float32)
@@ -336,12 +352,12 @@ def _height(look: Look, tile: int, size: int) -> FloatArray:
             lines = gaussian_blur(rng.standard_normal((512, 512), np.float32), widths)
             crossed -= np.exp(-((lines / (0.35 * lines.std())) ** 2))
         soft += _sagging(look, 512) + np.float32(0.007 * look.worn**2) * skin * (1 - m["scalp"]) * crossed
-    broad, height = Enlarged(soft, size), np.empty((size, size), np.float32)
+    broad, height = Enlarged(soft, size), pits  # in its place: new pictures cost more than what is done to them
     depth = np.float32(-4 * 0.013 * (1 + 0.6 * look.worn - 0.5 * look.feminine))
     roughness = np.float32(0.0016 * (1 + 1.5 * look.worn**2))
     for rows in strips(size):
         own = sweaty[rows]
-        rough = roughness * (fine[0][rows] - fine[1][rows])
+        rough = roughness * fine[rows]
         height[rows] = broad[rows] + depth * own * pits[rows] + rough * bare[rows] * (0.6 + 0.4 * own)
     box, lines = _filtered_where(grain, (9 * scale, 1.6 * scale), lips)
     height[box] += np.float32(0.020) * lines * lips[box]
