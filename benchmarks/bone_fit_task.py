@@ -44,7 +44,7 @@ class Task:
         """The joints side by side, as skinning decomposition has them."""
         from scipy.sparse import csr_array, hstack
 
-        from facepipe.rig import Rig
+        from facepipe.rig.rig import Rig, SkinWeights
 
         count = len(self.joints)
         rest, inverse = (np.tile(np.eye(4), (count, 1, 1)) for _ in range(2))
@@ -61,7 +61,9 @@ class Task:
             rest=rest,
             inverse_bind=inverse,
             parent_world=np.eye(4),
-            influences=hstack([csr_array(self.weights), csr_array((len(self.points), 1))]).tocsr(),
+            skinning=SkinWeights.from_sparse(
+                hstack([csr_array(self.weights), csr_array((len(self.points), 1))]).tocsr()
+            ),
         )
 
     def errors(self, found: Any) -> Json:

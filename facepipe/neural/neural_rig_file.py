@@ -13,8 +13,8 @@ from scipy import sparse
 
 from facepipe.core.errors import InputError
 from facepipe.declare import from_json
-from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control, EncoderLayer, NeuralEncoder, NeuralRig
+from facepipe.rig.rig import Rig, SkinWeights
 from facepipe.verbs.array_file import Content, read_arrays, write_arrays
 
 KIND = "facepipe neural rig 1"
@@ -188,7 +188,7 @@ def _bones(path: Path, rig: NeuralRig, file: Content) -> Rig:
         points=rig.rest,
         shapes=(),
         targets=(),
-        influences=influences,
+        skinning=SkinWeights.from_sparse(influences),
         **arrays,
     )
 

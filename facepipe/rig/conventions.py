@@ -107,6 +107,7 @@ def _without_namespace(name: str) -> str:
     return ".".join(parts[-2:] if sided else parts[-1:]) or name
 
 
+@lru_cache(_CACHED)
 def spelling(name: str) -> str:
     """The key of `name` without the namespace before it (``blendShape1.jawOpen``, ``face:jawOpen``)."""
     return shape_key(_without_namespace(name))

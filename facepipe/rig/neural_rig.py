@@ -16,7 +16,7 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unknown
 from facepipe.geometry.shape_basis import motion_basis
 from facepipe.rig.bone_coefficients import coefficient_derivatives, coefficient_matrices, rest_coefficients
-from facepipe.rig.rig import Rig
+from facepipe.rig.rig import Rig, SkinWeights
 
 _ORTHONORMAL_ERROR = 1e-5  # what float32 files may take from it
 _RANDOM_PROBES = 512  # random values of all controls, and as many corners
@@ -218,7 +218,7 @@ def with_influences(rig: Rig, most: int) -> Rig:
             weights[np.argsort(-weights, kind="stable")[most:]] = 0.0
             weights /= weights.sum()
     kept.eliminate_zeros()
-    return replace(rig, influences=kept)
+    return replace(rig, skinning=SkinWeights.from_sparse(kept))
 
 
 def coefficients_in(coefficients: FloatArray, scale: float) -> FloatArray:
@@ -241,8 +241,8 @@ def with_points(rig: NeuralRig, chosen: IntArray) -> NeuralRig:
     """The same rig of some of its points; its shapes are no longer orthonormal, nor its bones' meshes whole."""
     bones = rig.bones
     if bones is not None:
-        influences = sparse.csr_array(bones.influences[chosen])
-        bones = dataclasses.replace(bones, points=bones.points[chosen], influences=influences)
+        skinning = SkinWeights.from_sparse(bones.influences[chosen])
+        bones = dataclasses.replace(bones, points=bones.points[chosen], skinning=skinning)
     return dataclasses.replace(rig, rest=rig.rest[chosen], shapes=rig.shapes[:, chosen], bones=bones)
 
 

@@ -37,7 +37,7 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     proportions of a head; with those of a body, that it is no longer than `_LONGEST`. Up and front are known from
     landmarks or joints alone.
     """
-    rig = build(parts)
+    rig = build(replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes)))  # as it rests
     points = rig.evaluate()
     by_mesh, unit = rig.split(points), parts.meters_per_unit
     found = [(mesh.landmarks[_SCHEME].indices, mesh.name) for mesh in parts.meshes if _SCHEME in mesh.landmarks]

@@ -22,7 +22,6 @@ from facepipe.core.names import unknown
 from facepipe.geometry.vectors import transformed, transformed_each
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.bone_coefficients import coefficient_matrices
-from facepipe.rig.trs import decompose, rotation_matrices
 
 if TYPE_CHECKING:  # 0.13 s, which a face that is only opened does not need: functions import it
     from scipy import sparse
@@ -82,11 +81,77 @@ class Target:
     offsets: FloatArray  # (k, 3) in the space of Rig.points
 
 
+class SkinWeights:
+    """(n, j + 1) how much each joint moves each point, most of them 0.
+
+    A few products are numpy's own; more are those of a matrix of scipy, to load which takes as long as 20 of them.
+    """
+
+    _FEW = 5
+
+    def __init__(self, starts: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> None:
+        """As `scipy.sparse.csr_array` has them: starts (n + 1,), columns and values (e,)."""
+        self.starts, self.columns, self.values, self.shape = starts, columns, values, shape
+        self._products = 0
+
+    @classmethod
+    def of(cls, rows: IntArray, columns: IntArray, values: FloatArray, shape: tuple[int, int]) -> SkinWeights:
+        """Of entries (e,) in any order; those of one point and joint are summed: a joint twice is one influence."""
+        places = rows * shape[1] + columns
+        order = np.argsort(places, kind="stable")
+        places = places[order]
+        first = np.flatnonzero(np.diff(places, prepend=-1))
+        summed = np.add.reduceat(values[order], first) if len(first) else values
+        kept = summed != 0
+        rows, columns = np.divmod(places[first][kept], shape[1])
+        starts = np.append(0, np.cumsum(np.bincount(rows, minlength=shape[0])))
+        return cls(starts.astype(np.int32), columns.astype(np.int32), summed[kept], shape)
+
+    @classmethod
+    def from_sparse(cls, matrix: sparse.csr_array) -> SkinWeights:
+        """Those of a matrix of scipy."""
+        return cls(matrix.indptr, matrix.indices, matrix.data, matrix.shape)
+
+    @cached_property
+    def sparse(self) -> sparse.csr_array:
+        """The same as a matrix of scipy."""
+        from scipy import sparse
+
+        return sparse.csr_array((self.values, self.columns, self.starts), shape=self.shape)
+
+    def dense(self, rows: IntArray) -> FloatArray:
+        """(m, j + 1) those of some points."""
+        counts = self.starts[rows + 1] - self.starts[rows]
+        row = np.repeat(np.arange(len(rows)), counts)
+        entries = np.arange(len(row)) + np.repeat(self.starts[rows] - np.cumsum(counts) + counts, counts)
+        result = np.zeros((len(rows), self.shape[1]))
+        result[row, self.columns[entries]] = self.values[entries]
+        return result
+
+    def __matmul__(self, table: FloatArray) -> FloatArray:
+        """(n, k) weighted sums of the rows of a table (j + 1, k)."""
+        self._products += 1
+        if self._products > self._FEW or "sparse" in self.__dict__:
+            return np.asarray(self.sparse @ table)
+        counts = np.diff(self.starts)
+        result = np.zeros((self.shape[0], table.shape[1]))
+        for number in range(counts.max(initial=0)):  # in the order of scipy's sums
+            rows = np.flatnonzero(counts > number)
+            entries = self.starts[rows] + number
+            added = table[self.columns[entries]]
+            added *= self.values[entries, None]
+            if len(rows) == len(result):
+                result += added
+            else:
+                result[rows] += added
+        return result
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rig:
     """Everything that moves the points of a face, meshes concatenated in stage order.
 
-    `points` are in skeleton space at bind time (geomBindTransform applied). The last column of `influences` stands
+    `points` are in skeleton space at bind time (geomBindTransform applied). The last column of `skinning` stands
     for the skeleton itself: meshes without skin follow it rigidly.
     """
 
@@ -101,7 +166,7 @@ class Rig:
     rest: FloatArray  # (j, 4, 4) local
     inverse_bind: FloatArray  # (j, 4, 4)
     parent_world: FloatArray  # (4, 4) skeleton space -> world, what roots hang under by default
-    influences: sparse.csr_array  # (n, j + 1) weights
+    skinning: SkinWeights
     dual: BoolArray | None = None  # (n,) points skinned by dual quaternions, others linearly; None: none
 
     def part(self, points: IntArray) -> Rig:
@@ -125,11 +190,16 @@ class Rig:
             self,
             points=self.points[points],
             targets=tuple(targets),
-            influences=self.influences[points],
+            skinning=SkinWeights.from_sparse(self.influences[points]),
             dual=None if self.dual is None else self.dual[points],
             mesh_names=("part",),
             mesh_offsets=np.array([0, len(points)]),
         )
+
+    @property
+    def influences(self) -> sparse.csr_array:
+        """(n, j + 1) its skin weights as a matrix of scipy."""
+        return self.skinning.sparse
 
     @cached_property
     def deltas(self) -> sparse.csr_array:
@@ -167,9 +237,9 @@ class Rig:
         return vector
 
     def activations(self, weights: FloatArray) -> FloatArray:
-        """(targets,) activations of (shapes,) shape weights."""
+        """(..., targets) activations of (..., shapes) shape weights."""
         shapes, (base, slope), bends = self._hinges
-        own = weights[shapes]
+        own = weights[..., shapes]
         result = base + slope * own
         for at, change in bends:
             result += change * np.maximum(own - at, 0.0)
@@ -214,9 +284,10 @@ class Rig:
         return [np.flatnonzero(above == depth) for depth in range(above.max(initial=0) + 1)]
 
     def skinning_matrices(self, local: FloatArray, parent_world: FloatArray | None = None) -> FloatArray:
-        """(j + 1, 4, 4) matrices from bind-time skeleton space to world, the skeleton's own last."""
+        """(..., j + 1, 4, 4) matrices from bind-time skeleton space to world, the skeleton's own last."""
         root = self.parent_world if parent_world is None else np.asarray(parent_world, dtype=np.float64)
-        return np.concatenate([self.joint_worlds(local, root) @ self.inverse_bind, root[None]])
+        moved = self.joint_worlds(local, root) @ self.inverse_bind
+        return np.concatenate([moved, np.broadcast_to(root, (*moved.shape[:-3], 1, 4, 4))], axis=-3)
 
     def skin(self, points: FloatArray, matrices: FloatArray) -> FloatArray:
         """(n, 3) world points of (n, 3) morphed points under (j + 1, 4, 4) skinning matrices."""
@@ -227,13 +298,15 @@ class Rig:
 
         :param rows: (n,) points; None: all
         """
-        influences, dual = self.influences, self.dual
-        if rows is not None:
-            influences, dual = influences[rows], None if dual is None else dual[rows]
-        blended = (influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+        dual = self.dual if rows is None or self.dual is None else self.dual[rows]
+        table = matrices[:, :3, :].reshape(-1, 12)
+        blended = (self.skinning @ table if rows is None else self.influences[rows] @ table).reshape(-1, 3, 4)
         if dual is not None:
+            from facepipe.rig.dual_quaternions import dual_quaternion_blend
+
+            influences = self.influences if rows is None else self.influences[rows]
             root = matrices[-1]  # quaternions blend in skeleton space: what scales the skeleton scales them all
-            within = _dual_quaternion_blend(influences[dual], np.linalg.inv(root) @ matrices)
+            within = dual_quaternion_blend(influences[dual], np.linalg.inv(root) @ matrices)
             blended[dual] = root[:3, :3] @ within
             blended[dual, :, 3] += root[:3, 3]
         return np.asarray(blended)
@@ -324,58 +397,6 @@ class Rig:
         return array
 
 
-def _dual_quaternion_blend(influences: sparse.csr_array, matrices: FloatArray) -> FloatArray:
-    """(n, 3, 4) transforms of points with (n, j) weights that sum to 1 under (j, 4, 4) affine matrices.
-
-    Each matrix is a stretch K and then a rigid motion, as unit quaternion q and dual part ``d = (0, t) q / 2``. Points
-    take ``q = sum +-w q_j / |sum +-w q_j|``, d by the same sum and length, and ``sum w K_j``; the translation is the
-    vector part of ``2 d conj(q)``.
-    """
-    from scipy import sparse
-
-    # (j, 3, 3) symmetric stretches, negative where a matrix mirrors, and the (j, 4, 4) rigid motions after them
-    linear = matrices[:, :3, :3]
-    U, _, Vt = np.linalg.svd(linear)
-    rotation = U @ Vt
-    rotation *= np.where(np.linalg.det(rotation) < 0, -1.0, 1.0)[:, None, None]
-    rigid = np.array(matrices)
-    rigid[:, :3, :3] = rotation
-    stretch, turned = np.swapaxes(rotation, 1, 2) @ linear, rigid
-    real = decompose(turned).rotation  # (j, 4) x y z w
-    dual = 0.5 * _product(np.pad(turned[:, :3, 3], ((0, 0), (0, 1))), real)
-    # the weights, negative where a joint's quaternion lies on the other side than that of the largest weight
-    rows = np.repeat(np.arange(influences.shape[0]), np.diff(influences.indptr))
-    order = np.lexsort((influences.indices, -influences.data, rows))
-    first = order[np.concatenate([[True], rows[order][1:] != rows[order][:-1]])] if len(order) else order
-    pivot = np.zeros(influences.shape[0], np.int64)
-    pivot[rows[first]] = influences.indices[first]
-    opposite = np.einsum("ij,ij->i", real[influences.indices], real[pivot[rows]]) < 0
-    data = np.where(opposite, -influences.data, influences.data)
-    signed = sparse.csr_array((data, influences.indices, influences.indptr), shape=influences.shape)
-    length = np.linalg.norm(signed @ real, axis=1)[:, None]
-    length[length == 0] = 1.0
-    real, dual = (signed @ real) / length, (signed @ dual) / length
-    blended = np.empty((influences.shape[0], 3, 4))
-    blended[..., :3] = rotation_matrices(real) @ (influences @ stretch.reshape(-1, 9)).reshape(-1, 3, 3)
-    blended[..., 3] = 2.0 * _product(dual, real * (-1.0, -1.0, -1.0, 1.0))[:, :3]
-    return blended
-
-
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(n, 4) products of quaternions x y z w."""
-    ax, ay, az, aw = np.moveaxis(a, -1, 0)
-    bx, by, bz, bw = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
-    )
-
-
 _Sculpt = tuple[str, int, Curve, npt.NDArray[np.int32], FloatArray]
 
 
@@ -408,7 +429,7 @@ def build(parts: FaceParts) -> Rig:
             ]
         ).reshape(-1, 4, 4),
         parent_world=np.asarray(skeleton.transform, dtype=np.float64),
-        influences=_influences(parts, offsets),
+        skinning=_skinning(parts, offsets),
         dual=np.repeat(by_mesh, [len(mesh.points) for mesh in parts.meshes]) if any(by_mesh) else None,
     )
 
@@ -436,12 +457,10 @@ def inverse(matrix: FloatArray, where: str) -> FloatArray:
     return np.asarray(result)
 
 
-def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_array:
+def _skinning(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> SkinWeights:
     """(n, j + 1) weights; a mesh without skin follows the last column."""
-    from scipy import sparse
-
     joint_count = len(parts.skeleton.joints)
-    rows, columns, values = [], [], []
+    rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for mesh, start in zip(parts.meshes, offsets[:-1], strict=True):
         numbers = np.arange(len(mesh.points)) + start
         indices = mesh.skin.joint_indices if mesh.skin else np.full((len(numbers), 1), joint_count)
@@ -449,17 +468,12 @@ def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_
         limit = joint_count if mesh.skin else joint_count + 1
         if indices.size and not (indices.min() >= 0 and indices.max() < limit):
             raise TopologyError(f"{parts.name} -> {mesh.name}", f"joint index outside 0..{joint_count - 1}")
-        rows.append(np.repeat(numbers, indices.shape[1]))
-        columns.append(np.asarray(indices, dtype=np.int64).ravel())
-        values.append(np.asarray(weights, dtype=np.float64).ravel())
+        kept = np.flatnonzero(weights)
+        rows.append(np.repeat(numbers, indices.shape[1])[kept])
+        columns.append(np.asarray(indices, dtype=np.int64).ravel()[kept])
+        values.append(np.asarray(weights, dtype=np.float64).ravel()[kept])
     shape = (int(offsets[-1]), joint_count + 1)
-    if not rows:
-        return sparse.csr_array(shape)
-    entries = (np.concatenate(rows), np.concatenate(columns))
-    # entries of one point and joint are summed: a joint twice in a vertex is one influence
-    matrix = sparse.csr_array((np.concatenate(values), entries), shape=shape)
-    matrix.eliminate_zeros()
-    return matrix
+    return SkinWeights.of(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), shape)
 
 
 def _targets(

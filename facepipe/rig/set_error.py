@@ -10,10 +10,11 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.parts import FaceParts
 from facepipe.rig.bone_coefficients import coefficient_matrices, rest_coefficients
-from facepipe.rig.rig import Rig
+from facepipe.rig.rig import Rig, Target
 from facepipe.rig.sliders import slide
 
 Changes = list[tuple[int, float]]  # targets, and how much more of each is on
+Poses = list[tuple[dict[str, float], FloatArray]]  # shape weights and bone coefficients (j, 9)
 
 RANDOM_POSES = 50
 _SETTINGS = 10  # of the sliders, all moved at once, which takes longest: fifty are off by 1.07 times as much at most
@@ -21,6 +22,8 @@ _POSE_TURN = 0.2  # radians
 _POSE_MOVE_MM = 1.0
 _SHAPES_A_POSE = 3  # on in each pose
 _POSE_SEED = 0
+_ROUNDED = 12  # decimals of activations
+_ROWS = 2048  # points that are turned at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,47 +40,136 @@ class SetError:
 def set_error(before: Side, after: Side, stretch: FloatArray, parts: FaceParts, result: FaceParts) -> SetError:
     """Compare both, each shape at 1 and each pose of joints and shapes on top of the person.
 
-    Where joints stay as they are points are linear in what moves them: a shape is looked at where it moves points, on
-    top of the person that both have on already. Evaluating all of both faces for each took seven times as long.
-
     :param stretch: (j, 3, 3) of translations of coefficients for `after`
     :param parts: that `before` was built of
     :param result: that `after` was built of
     """
-    sides, whole = (before, after), slice(None)
-    largest = np.linalg.norm(np.subtract(*(side.at_rest(side.points, whole) for side in sides)), axis=1)
-    alike = np.array_equal(before.blended, after.blended)
-    for name in before.rig.shapes:
-        changes = [side.changes({name: 1.0}) for side in sides]
-        if alike and _same_targets(sides, changes):
-            continue  # as far apart as without the shape
-        moved = [side.moved_by(own) for side, own in zip(sides, changes, strict=True)]
-        rows = np.flatnonzero(np.any(moved, axis=0))
-        apart = np.subtract(*(side.at_rest(side.morphed(own), rows) for side, own in zip(sides, changes, strict=True)))
-        largest[rows] = np.maximum(largest[rows], np.linalg.norm(apart, axis=1))
     poses = random_poses(before.rig, parts)
-    for weights, expression in poses:
-        # new joints lack the person's scales, which stretched an expression's translations
-        change = coefficient_matrices(expression)
-        stretched = change.copy()
-        stretched[:, :3, 3] = np.einsum("jab,jb->ja", stretch, change[:, :3, 3])
-        morphed = [side.morphed(side.changes(weights)) for side in sides]
-        matrices = [side.matrices(own) for side, own in zip(sides, (change, stretched), strict=True)]
-        if alike and np.array_equal(matrices[0], matrices[1]):
-            blended = before.rig.blended(matrices[0])
-            apart = np.einsum("nij,nj->ni", blended[:, :, :3], morphed[1] - morphed[0])
-        else:
-            posed = zip(sides, morphed, matrices, strict=True)
-            apart = np.subtract(*(side.rig.skin(points, own) for side, points, own in posed))
-        np.maximum(largest, np.linalg.norm(apart, axis=1), out=largest)
-    largest *= 1000 * parts.meters_per_unit
+    sides, alike = (before, after), SameMotion.of(before, after, stretch)
+    if alike is None:
+        largest = apart(sides, stretch, poses)
+        with_sliders = None
+    else:
+        largest, with_sliders = alike.apart(poses), alike.apart_with_sliders(parts, result)
+    if with_sliders is None:
+        with_sliders = apart_with_sliders(before.rig, after.rig, parts, result)
+    millimetres = 1000 * parts.meters_per_unit
+    largest *= millimetres
     return SetError(
         mean_mm=float(largest.mean()) if len(largest) else 0.0,
         max_mm=float(largest.max(initial=0.0)),
         shapes=len(before.rig.shapes),
         poses=len(poses),
-        sliders_max_mm=1000 * parts.meters_per_unit * _apart_with_sliders(before.rig, after.rig, parts, result),
+        sliders_max_mm=millimetres * with_sliders,
     )
+
+
+def apart(sides: tuple[Side, Side], stretch: FloatArray, poses: Poses) -> FloatArray:
+    """(n,) the farthest that points are apart, over shapes and poses.
+
+    Where joints stay as they are points are linear in what moves them: a shape is looked at where it moves points, on
+    top of the person that both have on already. Evaluating all of both faces for each took seven times as long.
+    """
+    before, whole = sides[0], slice(None)
+    largest = np.linalg.norm(np.subtract(*(side.at_rest(side.points, whole) for side in sides)), axis=1)
+    for name in before.rig.shapes:
+        changes = [side.changes({name: 1.0}) for side in sides]
+        moved = [side.moved_by(own) for side, own in zip(sides, changes, strict=True)]
+        rows = np.flatnonzero(np.any(moved, axis=0))
+        off = np.subtract(*(side.at_rest(side.morphed(own), rows) for side, own in zip(sides, changes, strict=True)))
+        largest[rows] = np.maximum(largest[rows], np.linalg.norm(off, axis=1))
+    for weights, expression in poses:
+        # new joints lack the person's scales, which stretched an expression's translations
+        change = coefficient_matrices(expression)
+        stretched = change.copy()
+        stretched[:, :3, 3] = np.einsum("jab,jb->ja", stretch, change[:, :3, 3])
+        posed = [
+            side.rig.skin(side.morphed(side.changes(weights)), side.matrices(own))
+            for side, own in zip(sides, (change, stretched), strict=True)
+        ]
+        np.maximum(largest, np.linalg.norm(np.subtract(*posed), axis=1), out=largest)
+    return np.asarray(largest)
+
+
+@dataclass(frozen=True)
+class SameMotion:
+    """Two faces whose joints and offsets are the same, as with a person of shapes alone: they differ by what points
+    differ in at rest, and shapes add nothing but where their curves bend. What differs is turned by all poses in one
+    product: evaluating both faces took ten times as long.
+    """
+
+    before: Side
+    after: Side
+
+    @classmethod
+    def of(cls, before: Side, after: Side, stretch: FloatArray) -> SameMotion | None:
+        """None: their joints or offsets differ."""
+        one, other = before.rig, after.rig
+        pairs = (
+            (before.local, after.local),
+            (one.inverse_bind, other.inverse_bind),
+            (one.parent_world, other.parent_world),
+            (one.skinning.starts, other.skinning.starts),
+            (one.skinning.columns, other.skinning.columns),
+            (one.skinning.values, other.skinning.values),
+            (stretch, np.broadcast_to(np.eye(3), stretch.shape)),
+        )
+        same = one.dual is None and other.dual is None and all(np.array_equal(*pair) for pair in pairs)
+        same = same and len(one.targets) == len(other.targets) and all(map(_same_target, one.targets, other.targets))
+        return cls(before, after) if same else None
+
+    def apart(self, poses: Poses) -> FloatArray:
+        """(n,) the farthest that points are apart, over shapes and poses."""
+        rig, sides = self.before.rig, (self.before, self.after)
+        alone = np.vstack([np.zeros((1, len(rig.shapes))), np.eye(len(rig.shapes))])
+        mixed = np.array([rig.weight_vector(weights) for weights, _ in poses]).reshape(-1, len(rig.shapes))
+        on = [side.rig.activations(side.person + weights) for side in sides for weights in (alone, mixed)]
+        rests = np.unique(self._differing(on[0], on[2]), axis=0)
+        turned = self.before.local @ coefficient_matrices(np.array([expression for _, expression in poses]))
+        at_rest = np.broadcast_to(self.before.local, (len(rests), *self.before.local.shape))
+        return self._farthest(np.concatenate([at_rest, turned]), np.vstack([rests, self._differing(on[1], on[3])]))
+
+    def apart_with_sliders(self, parts: FaceParts, result: FaceParts) -> float | None:
+        """Over random settings of the sliders; None where they move joints otherwise."""
+        settings = _settings(parts)
+        if not settings:
+            return 0.0
+        slid = [
+            [slide(face.sliders, side.rig.joints, values, face.slider_network) for values in settings]
+            for side, face in ((self.before, parts), (self.after, result))
+        ]
+        coefficients, theirs = (np.array([own for own, _ in one]) for one in slid)
+        if not np.array_equal(coefficients, theirs):
+            return None
+        rig = self.before.rig
+        on = [rig.activations(np.array([rig.weight_vector(weights) for _, weights in one])) for one in slid]
+        return float(self._farthest(rig.rest @ coefficient_matrices(coefficients), self._differing(*on)).max())
+
+    def _differing(self, before: FloatArray, after: FloatArray) -> FloatArray:
+        """How much more of the targets (p, t) is on after, without what rounding makes."""
+        return np.asarray(np.round(after - before, _ROUNDED))
+
+    def _farthest(self, locals_: FloatArray, more: FloatArray) -> FloatArray:
+        """(n,) the farthest that points are apart, over local transforms (p, j, 4, 4) and what more is on (p, t)."""
+        rig, between = self.before.rig, self.after.rig.points - self.before.rig.points
+        farthest, matrices = np.zeros(len(between)), rig.skinning_matrices(locals_)[..., :3, :3]
+        distinct, group = np.unique(more, axis=0, return_inverse=True)
+        for number, on in enumerate(distinct):
+            offsets = between.copy()
+            for target in np.flatnonzero(on):
+                moved = rig.targets[target]
+                offsets[moved.point_indices] += on[target] * moved.offsets
+            chosen = np.moveaxis(matrices[group.ravel() == number], 0, 1)  # (j + 1, p, 3, 3)
+            rows = np.flatnonzero(offsets.any(axis=1))
+            for part in np.array_split(rows, len(rows) // _ROWS + 1):
+                weights = rig.skinning.dense(part)
+                turned = sum(  # axis by axis: (m, 3 p) in place of transforms (m, p, 3, 3)
+                    (weights * offsets[part, axis, None]) @ chosen[..., axis].reshape(len(chosen), -1)
+                    for axis in range(3)
+                )
+                lengths = np.linalg.norm(np.reshape(turned, (len(part), chosen.shape[1], 3)), axis=2)
+                farthest[part] = np.maximum(farthest[part], lengths.max(axis=1, initial=0.0))
+        return farthest
 
 
 class Side:
@@ -88,15 +180,15 @@ class Side:
     """
 
     def __init__(self, rig: Rig, weights: Mapping[str, float], matrices: FloatArray | None = None) -> None:
-        self.rig, self._person = rig, rig.weight_vector(weights)
-        self._local = rig.rest if matrices is None else rig.rest @ matrices
-        self._on = rig.activations(self._person)
-        self.points = rig.morph(self._person)  # (n, 3) of the person, before skinning
-        self.blended = rig.blended(rig.skinning_matrices(self._local))
+        self.rig, self.person = rig, rig.weight_vector(weights)
+        self.local = rig.rest if matrices is None else rig.rest @ matrices
+        self._on = rig.activations(self.person)
+        self.points = rig.morph(self.person)  # (n, 3) of the person, before skinning
+        self.blended = rig.blended(rig.skinning_matrices(self.local))
 
     def changes(self, weights: Mapping[str, float]) -> Changes:
         """What weights on top of the person turn on."""
-        change = self.rig.activations(self._person + self.rig.weight_vector(weights)) - self._on
+        change = self.rig.activations(self.person + self.rig.weight_vector(weights)) - self._on
         return [(int(number), float(change[number])) for number in np.flatnonzero(change)]
 
     def moved_by(self, changes: Changes) -> BoolArray:
@@ -121,29 +213,32 @@ class Side:
 
     def matrices(self, change: FloatArray) -> FloatArray:
         """(j + 1, 4, 4) skinning matrices with those (j, 4, 4) of an expression on top of the person's."""
-        return self.rig.skinning_matrices(self._local @ change)
+        return self.rig.skinning_matrices(self.local @ change)
 
 
-def _same_targets(sides: tuple[Side, Side], changes: Sequence[Changes]) -> bool:
-    """Whether both sides' changes move the same points by the same offsets."""
-    targets = [[side.rig.targets[number] for number, _ in own] for side, own in zip(sides, changes, strict=True)]
-    return [much for _, much in changes[0]] == [much for _, much in changes[1]] and all(
-        np.array_equal(one.point_indices, other.point_indices) and np.array_equal(one.offsets, other.offsets)
-        for one, other in zip(*targets, strict=True)
+def _same_target(one: Target, other: Target) -> bool:
+    return (
+        one.curve == other.curve
+        and np.array_equal(one.point_indices, other.point_indices)
+        and (one.offsets is other.offsets or np.array_equal(one.offsets, other.offsets))
     )
 
 
-def _apart_with_sliders(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:
-    """Over some random settings of the sliders the farthest that a point of one is from that of the other."""
+def _settings(parts: FaceParts) -> list[dict[str, float]]:
     random = np.random.default_rng(_POSE_SEED)
-    settings = [
+    return [
         {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
         for _ in range(_SETTINGS if parts.sliders else 0)
     ]
+
+
+def apart_with_sliders(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:
+    """Over some random settings of the sliders the farthest that a point of one is from that of the other."""
+    settings = _settings(parts)
     if not settings:
         return 0.0
-    apart = np.subtract(_with_sliders(before, parts, settings), _with_sliders(after, result, settings))
-    return float(np.linalg.norm(apart, axis=2).max(initial=0.0))
+    off = np.subtract(_with_sliders(before, parts, settings), _with_sliders(after, result, settings))
+    return float(np.linalg.norm(off, axis=2).max(initial=0.0))
 
 
 def _with_sliders(rig: Rig, parts: FaceParts, settings: Sequence[Mapping[str, float]]) -> FloatArray:
@@ -161,7 +256,7 @@ def _with_sliders(rig: Rig, parts: FaceParts, settings: Sequence[Mapping[str, fl
     return np.stack(places)
 
 
-def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], FloatArray]]:
+def random_poses(rig: Rig, parts: FaceParts) -> Poses:
     """Shape weights and bone coefficients (j, 9) of random poses: up to 0.2 radians and 1 mm within the limits."""
     random = np.random.default_rng(_POSE_SEED)
     reach = np.zeros(9)
@@ -171,7 +266,7 @@ def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], Flo
     if parts.bone_limits is not None:
         low, high = np.maximum(low, parts.bone_limits.lower), np.minimum(high, parts.bone_limits.upper)
         low, high = np.minimum(low, rest), np.maximum(high, rest)
-    poses: list[tuple[dict[str, float], FloatArray]] = []
+    poses: Poses = []
     for _ in range(RANDOM_POSES):
         chosen = random.permutation(len(rig.shapes))[:_SHAPES_A_POSE]
         weights = {rig.shapes[i]: float(random.random()) for i in chosen}

@@ -18,6 +18,7 @@ from oracle import bake, played
 from small_head import make
 
 import facepipe
+from facepipe import heads
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import (
     Animation,
@@ -40,7 +41,7 @@ from facepipe.rig import (
     set_face,
     slide,
 )
-from facepipe.rig.set_error import random_poses
+from facepipe.rig.set_error import SameMotion, Side, apart, apart_with_sliders, random_poses
 from facepipe.rig.set_person import _rotations, set_mesh
 from facepipe.stage import save_parts
 
@@ -139,6 +140,29 @@ def test_baked_shapes_are_exact_and_poses_within_the_stated_error(sample: FacePa
     in_mm = 1000 * sample.meters_per_unit
     assert 0 < max(off) * in_mm < 2 * found.error.max_mm  # moves here are not stretched by the person's scales
     assert found.error.max_mm < 1.0
+
+
+def test_faces_that_move_alike_are_as_far_apart_as_both_evaluated() -> None:
+    """A person of shapes alone, on points that are moved a little."""
+    parts = heads.make(3)
+    own = [slider for slider in parts.sliders if slider.group == "nose" and not slider.channels]
+    parts = with_values(parts, {one.name: 0.7 * one.maximum for one in own[:3]})
+    found, noise = set_face(parts), np.random.default_rng(0)
+    head, *others = found.parts.meshes
+    head = replace(head, points=head.points + noise.normal(0, 0.01, head.points.shape) * (head.points[:, :1] > 0))
+    result, person = replace(found.parts, meshes=(head, *others)), person_of(parts)
+    before, after = Side(build(parts), person.weights, person.matrices), Side(build(result), {})
+    still, poses = np.broadcast_to(np.eye(3), (len(parts.skeleton.joints), 3, 3)), random_poses(before.rig, parts)
+    alike = SameMotion.of(before, after, still)
+    assert alike is not None
+    assert own
+    expected = apart((before, after), still, poses)
+    assert 0.03 < expected.max() < 0.1
+    np.testing.assert_allclose(alike.apart(poses), expected, rtol=1e-9, atol=1e-9)
+    with_sliders = apart_with_sliders(before.rig, after.rig, parts, result)
+    assert alike.apart_with_sliders(parts, result) == pytest.approx(with_sliders, rel=1e-9)
+    turned = replace(after.rig, rest=after.rig.rest @ coefficient_matrices(pose(parts).coefficients[0]))
+    assert SameMotion.of(before, Side(turned, {}), still) is None
 
 
 def test_a_rigid_person_is_exact_and_turns_normals() -> None:

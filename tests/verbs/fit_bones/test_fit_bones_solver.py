@@ -15,6 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.rig import Rig, coefficient_matrices, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
+from facepipe.rig.rig import SkinWeights
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
 from facepipe.verbs.fit_bones.skinning import Tree, slopes
 
@@ -256,7 +257,7 @@ def test_joints_without_weight_keep_their_place() -> None:
     rig = small()
     influences = rig.influences.tolil()
     influences[:, 2] = 0.0
-    bare = replace(rig, influences=influences.tocsr())
+    bare = replace(rig, skinning=SkinWeights.from_sparse(influences.tocsr()))
     fit = BoneFit(bare, threshold=1e-6)
     assert fit.weightless.tolist() == [False, False, True]
     found = fit.fit(bare.points + np.array([0.1, 0.0, 0.0]))
