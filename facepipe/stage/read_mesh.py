@@ -59,11 +59,10 @@ def _read_shape(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -
     if others and not len(offsets):  # UsdSkel moves no point by the shape itself
         offsets = np.zeros((len(indices), 3), np.float32)
     check_inside(where, "pointIndices", indices, points)
-    unique, place = np.unique(indices, return_inverse=True)
-    merge = _Merge(where, len(indices), len(unique), place)
+    merge = _Merge(where, indices)
     return Blendshape(
         name=name,
-        point_indices=unique.astype(np.int32),
+        point_indices=merge.unique.astype(np.int32),
         offsets=merge("offsets", offsets),
         normal_offsets=merge.optional("normalOffsets", shape.GetNormalOffsetsAttr().Get()),
         inbetweens=_inbetweens(shape, merge),
@@ -102,9 +101,11 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
 class _Merge:
     """Sorts what is parallel to pointIndices; offsets of a point named twice add up, as UsdSkel applies them."""
 
-    def __init__(self, where: str, count: int, unique: int, place: IntArray) -> None:
-        self.where, self.count, self.unique, self.place = where, count, unique, place
-        self.sorted = count == unique and bool((place == np.arange(count)).all())
+    def __init__(self, where: str, indices: IntArray) -> None:
+        self.where, self.count, self.unique, self.place = where, len(indices), indices, indices
+        self.sorted = bool((indices[1:] > indices[:-1]).all())  # as most are, which saves a sort
+        if not self.sorted:
+            self.unique, self.place = np.unique(indices, return_inverse=True)
 
     def __call__(self, field: str, offsets: FloatArray) -> FloatArray:
         if len(offsets) != self.count:
@@ -113,7 +114,7 @@ class _Merge:
             raise SchemaError(f"{self.where}.{field}", "NaN or infinity, expected finite numbers")
         if self.sorted:
             return offsets
-        merged = np.zeros((self.unique, 3), dtype=np.float32)
+        merged = np.zeros((len(self.unique), 3), dtype=np.float32)
         np.add.at(merged, self.place, offsets)
         return merged
 
