@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import contextlib
 import re
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
 from facepipe.kinds import Action, FileAction, InPlaceAction, StageAction
-from facepipe.registry import loaded, manifest, own_action
+from facepipe.registry import entries, loaded, manifest, own_action
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "facepipe.processors"
 # flags that commands have, and arguments of functions, beside those of fields
@@ -32,7 +34,7 @@ def _own() -> dict[str, dict[str, Any]]:
 def _others() -> dict[str, EntryPoint]:
     """Verb -> entry point of each action of a plug-in."""
     taken = {*_own(), *manifest()["groups"]}
-    return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in taken}
+    return {entry.name: entry for entry in entries(GROUP) if entry.name not in taken}
 
 
 def summaries(group: str = "") -> dict[str, str]:

@@ -7,10 +7,9 @@ import importlib.util
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 # what docs and samples imported: a name, or the start of one -> where it is; what went to a wing, its door says
 _MOVED = {
@@ -32,12 +31,16 @@ def _moved(name: str) -> tuple[str, Sequence[str]]:
     return name, moved.get(name, ())
 
 
-class FormerNames(MetaPathFinder, Loader):
+class FormerNames:  # no subclass of those in importlib.abc, which bring importlib.resources and tempfile
     """Finds modules by the names that they had."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """A module in its stead; None for names that no module had."""
-        return ModuleSpec(name, self, is_package=True) if name.startswith(_STARTS) and _moved(name)[0] else None
+        return (
+            ModuleSpec(name, cast("Any", self), is_package=True)
+            if name.startswith(_STARTS) and _moved(name)[0]
+            else None
+        )
 
     def create_module(self, spec: ModuleSpec) -> None:
         """An ordinary one."""

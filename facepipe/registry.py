@@ -11,7 +11,6 @@ import functools
 import importlib
 import json
 from collections.abc import Iterable, Sequence
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,6 +18,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint, EntryPoints
+
     from facepipe.core.reports import ExportReport, Finding
     from facepipe.parts import FaceParts, HasParts
     from facepipe.rig.neural_rig import NeuralEncoder
@@ -120,7 +121,8 @@ def manifest() -> dict[str, Any]:
 
 def own_action(verb: str) -> Any:
     """The class of one of facepipe's own actions, by which a verb finds that of a wing."""
-    return EntryPoint(verb, manifest()["actions"][verb]["class"], "facepipe.processors").load()
+    module, _, name = manifest()["actions"][verb]["class"].partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 def neural_rigs() -> NeuralRigs:
@@ -146,7 +148,7 @@ def exporter(path: str | Path) -> Exporter:
     :raises InputError: no exporter for the suffix, or one that can't be loaded or lacks part of the contract
     """
     suffix = Path(path).suffix.lower().removeprefix(".")
-    for entry in entry_points(group=EXPORTERS, name=suffix):
+    for entry in entries(EXPORTERS, suffix):
         found: Exporter = loaded(entry, "Options", "export", "validate")
         return found
     known = [f".{one}" for one in suffixes()]
@@ -174,7 +176,7 @@ def importer(kind: str, others: Iterable[str] = ()) -> Importer:
     :param others: kinds that need none, for the message
     :raises InputError: no such kind, or an importer that can't be loaded or lacks part of the contract
     """
-    for entry in entry_points(group=IMPORTERS, name=kind):
+    for entry in entries(IMPORTERS, kind):
         found: Importer = loaded(entry, "Options", "read")
         return found
     known = sorted({*importers(), *others})
@@ -187,13 +189,20 @@ def host(name: str) -> Any:
 
     :raises InputError: it is not installed
     """
-    for entry in entry_points(group=HOSTS, name=name):
+    for entry in entries(HOSTS, name):
         return entry.load()
     raise InputError(f"facepipe {name}", "is not part of this installation, expected facepipe installed anew")
 
 
 def _names(group: str) -> tuple[str, ...]:
-    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
+    return tuple(sorted({entry.name for entry in entries(group)}))
+
+
+def entries(group: str, name: str | None = None) -> EntryPoints:
+    """What is installed in a group, or of it by that name."""
+    from importlib.metadata import entry_points  # 0.01 s, which most commands need not
+
+    return entry_points(group=group) if name is None else entry_points(group=group, name=name)
 
 
 def loaded(entry: EntryPoint, *contract: str) -> Any:

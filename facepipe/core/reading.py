@@ -8,7 +8,6 @@ import io
 import json
 import re
 import stat
-import tomllib
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
@@ -172,6 +171,8 @@ def read_toml(path: Path, most: int) -> dict[str, Any]:
             raise InputError(f"{path}:{number}", f"more than {_MOST_DOTS} dotted keys")
     check_values(path, data)
     try:
+        import tomllib
+
         return tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # bad UTF-8 too
         raise InputError(path, f"is not TOML ({str(error)[:120]})") from None

@@ -10,7 +10,6 @@ import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 _A = TypeVar("_A")
@@ -31,6 +30,8 @@ def mapped(function: Callable[[_A], _B], items: Iterable[_A]) -> list[_B]:
     """What a function that spends its time in numpy makes of each item, in order; several at once."""
     if os.environ.get(THREADS) == "1":  # other processes have the other cores
         return list(map(function, items))
+    from concurrent.futures import ThreadPoolExecutor
+
     with ThreadPoolExecutor(max(1, min(os.cpu_count() or 1, _MOST))) as pool:
         return list(pool.map(function, items))
 

@@ -348,6 +348,6 @@ def test_an_action_that_does_nothing_is_refused(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "idle_plugin.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     entry = EntryPoint(name="idle", value="idle_plugin:Idle", group=actions.GROUP)
-    monkeypatch.setattr(actions, "entry_points", lambda **_: (entry,))
+    monkeypatch.setattr(actions, "entries", lambda _: (entry,))
     with pytest.raises(InputError, match=r"plug-in idle \(idle_plugin:Idle\): has no author, expected"):
         actions.find_action("idle")
