@@ -52,8 +52,9 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # threads of OpenBLAS without work sleep at once: each spins for 0.1 s as it starts and after each product otherwise
-    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")  # 2^4 cycles, the least that it takes, instead of 2^26
+    # one thread of OpenBLAS, unless asked for more: products here are small, and its threads spin for 0.1 s as they
+    # start and after each. Of README's commands none takes less processor time with two: `sample` 2.8 s, else 2.4
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with _ending(), quiet_libraries():
             return _run(words)
