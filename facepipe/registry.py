@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import importlib
 import json
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -200,9 +201,16 @@ def _names(group: str) -> tuple[str, ...]:
 
 def entries(group: str, name: str | None = None) -> EntryPoints:
     """What is installed in a group, or of it by that name."""
-    from importlib.metadata import entry_points  # 0.01 s, which most commands need not
+    found: EntryPoints = _installed(tuple(sys.path)).select(group=group)
+    return found if name is None else found.select(name=name)
 
-    return entry_points(group=group) if name is None else entry_points(group=group, name=name)
+
+@functools.lru_cache(1)
+def _installed(path: tuple[str, ...]) -> Any:
+    """All that is installed on the path, to be selected from; to look takes 0.01 s, and most commands need none."""
+    from importlib.metadata import entry_points
+
+    return entry_points()
 
 
 def loaded(entry: EntryPoint, *contract: str) -> Any:
