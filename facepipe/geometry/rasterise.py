@@ -8,13 +8,14 @@ open.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from facepipe.geometry.vectors import cross_columns
 
 KeyArray = npt.NDArray[np.uint64]
 
@@ -178,35 +179,46 @@ def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iter
 def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """(m, 3) perspective-correct barycentrics of screen positions in the triangles numbered `ids` (m,).
 
-    Olano and Greer 1997: the inverse of the matrix of homogeneous corners maps a pixel to barycentrics over depth.
-
     :param points: (n, 4) homogeneous screen points, as in `screen_triangles`
     """
     drawn = np.zeros(len(triangles), bool)
     drawn[ids] = True
     which = (np.cumsum(drawn) - 1).take(ids)
+    return np.ascontiguousarray(shares(edge_planes(points, triangles[drawn]), which, x, y).T)
+
+
+def edge_planes(points: FloatArray, triangles: IntArray) -> FloatArray:
+    """(9, t) three factors a, b, c for each corner of triangles (t, 3): ``a x + b y + c`` is its barycentric over depth.
+
+    Olano and Greer 1997: the inverse of the matrix of homogeneous corners maps a pixel to barycentrics over depth.
+
+    :param points: (n, 4) homogeneous screen points, as in `screen_triangles`
+    """
     columns = np.ascontiguousarray(points[:, (0, 1, 3)].T)
-    corners = [columns.take(each, axis=1) for each in triangles[drawn].T]
-    crossed = []
-    for a, b in ((corners[1], corners[2]), (corners[2], corners[0]), (corners[0], corners[1])):
-        crossed.append(np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]))
-    planes = np.stack(crossed)
+    corners = [columns.take(each, axis=1) for each in triangles.T]
+    planes = np.stack([cross_columns(corners[(k + 1) % 3], corners[(k + 2) % 3]) for k in range(3)])
     # Only ratios count; scaling keeps float32 in range, and a sign per triangle makes the three positive inside it.
     determinant = (planes[0] * np.stack(corners[0])).sum(axis=0)
     scale = np.abs(planes).max(axis=(0, 1)) * np.where(determinant < 0, -1.0, 1.0)
     planes /= np.where(scale == 0, 1.0, scale)
-    at_places = (a.take(which) * x + b.take(which) * y + c.take(which) for a, b, c in planes)
-    over_depth = np.stack([np.maximum(one, 0.0) for one in at_places])
+    return planes.reshape(9, -1)
+
+
+def shares(planes: FloatArray, ids: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """(3, m) `barycentrics` by columns, of `edge_planes` made once."""
+    x, y = x.astype(np.float64, copy=False), y.astype(np.float64, copy=False)
+    over_depth = np.empty((3, len(ids)))
+    for corner, value in enumerate(over_depth):
+        a, b, c = planes[3 * corner : 3 * corner + 3]
+        np.multiply(a.take(ids), x, out=value)
+        value += b.take(ids) * y
+        value += c.take(ids)
+    np.maximum(over_depth, 0.0, out=over_depth)
     total = over_depth[0] + over_depth[1] + over_depth[2]
-    thin = total <= 0
+    thin = np.flatnonzero(total <= 0)
     over_depth[:, thin], total[thin] = 1.0, 3.0
-    return np.ascontiguousarray((over_depth / total).T)
-
-
-def interpolated(corners: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
-    """(m, c) values between those of three corners, each (m, c), at barycentrics (m, 3)."""
-    first, second, third = corners
-    return np.asarray(first * weights[:, :1] + second * weights[:, 1:2] + third * weights[:, 2:])
+    over_depth /= total
+    return over_depth
 
 
 def expand(counts: IntArray) -> tuple[IntArray, IntArray]:

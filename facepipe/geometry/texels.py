@@ -13,7 +13,7 @@ from facepipe.core.arrays import Float32Array, FloatArray, IntArray
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas
-from facepipe.geometry.rasterise import Raster, barycentrics, rasterise, screen_triangles
+from facepipe.geometry.rasterise import Raster, edge_planes, rasterise, screen_triangles, shares
 
 _RUN = 1 << 16  # texels whose colours fit into a processor's cache: whole textures take twice as long
 _ZERO_WEIGHT = 1e-12  # weight of an offset of 0, which surfaces without anything known have
@@ -84,7 +84,7 @@ def texels_of(uv_corners: FloatArray, triangles: IntArray, size: int) -> Texels:
     screen = np.column_stack([flat[:, 0] * size, (1.0 - flat[:, 1]) * size, np.ones(len(flat)), np.ones(len(flat))])
     numbers = np.arange(len(flat)).reshape(-1, 3)
     key = rasterise(screen_triangles(screen, numbers), size, size).key.ravel()
-    at, points = np.flatnonzero(key != 0), triangles.astype(np.int32)
+    at, points, planes = np.flatnonzero(key != 0), triangles.astype(np.int32), edge_planes(screen, numbers)
     texels = Texels(
         size=size, at=at, corners=np.empty((len(at), 3), np.int32), weights=np.empty((len(at), 3), np.float32)
     )
@@ -92,7 +92,7 @@ def texels_of(uv_corners: FloatArray, triangles: IntArray, size: int) -> Texels:
         row = part.at // size
         ids = Raster(key=np.take(key, part.at)).triangle
         part.corners[:] = np.take(points, ids, axis=0)
-        part.weights[:] = barycentrics(screen, numbers, ids, part.at - size * row + 0.5, row + 0.5)
+        part.weights[:] = shares(planes, ids, part.at - size * row + 0.5, row + 0.5).T
     return texels
 
 

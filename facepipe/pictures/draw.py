@@ -406,7 +406,7 @@ def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
     surface = shader.scene.surface
     plain = covered & (surface[inner] == surface[shown]).all(axis=0)
     at = np.flatnonzero(plain)
-    facets, inner_at = np.ascontiguousarray(shader.unit_facets.T), inner.take(at, axis=1)
+    facets, inner_at = shader.unit_facets, inner.take(at, axis=1)
     level, of_shown = np.full(len(at), 1.0, np.float32), facets.take(shown.take(at), axis=1)
     for sample in inner_at:
         level = np.minimum(level, (facets.take(sample, axis=1) * of_shown).sum(axis=0))

@@ -94,7 +94,8 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
     paint = None if options.regions is None else options.regions.colors
     camera = options.camera
     if camera is None:
-        used, right = np.unique(scene.triangles), 0  # pixels that a legend or a colour bar takes
+        used, right = np.zeros(len(scene.points), bool), 0  # pixels that a legend or a colour bar takes
+        used[scene.triangles] = True
         if options.regions is not None and options.written:
             right = legend_width(options.regions, options.size)
         elif options.heatmap is not None and options.bar and options.written:

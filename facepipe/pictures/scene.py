@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +23,10 @@ from facepipe.pictures.occlusion import SKY_RESOLUTION, Sky, visible_sky
 CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2, 3), "a": slice(3, 4)}
 
 
-_DATA: Float32Array = (np.arange(256) / 255.0).astype(np.float32)
-_SRGB: Float32Array = from_srgb(_DATA.astype(np.float64)).astype(np.float32)
+_STEP = np.float32(1 / 255)
+_SRGB: Float32Array = from_srgb(np.arange(256) / 255.0).astype(np.float32)
 _DENSE = 0.4  # opacity from which a piece of a card hides the light like a solid one
-_ALL = slice(None)
+_Looked = tuple[IntArray, list[ByteArray], Float32Array, Float32Array]  # samples, four texels of each, and between
 WELD_COSINE = 0.5  # points at one place share a normal when theirs differ by less than 60 degrees
 
 
@@ -47,24 +49,60 @@ class TextureCache:
         self.levels = lru_cache(maxsize=None)(lambda texture: _halved(decode(texture, largest)))
 
     def sample(
-        self, source: TextureInput, uv: FloatArray, footprint: FloatArray, *, color: bool = True
+        self, source: TextureInput, places: Places, *, color: bool = True
     ) -> tuple[Float32Array, Float32Array]:
-        """Values (m, 3) or (m, 1) at UVs (m, 2), ``texel[channels] * scale + bias``; texels that a pixel spans (m,).
+        """Values (3, m) or (1, m) at places, ``texel[channels] * scale + bias``; texels that a pixel spans (m,).
 
-        :param footprint: (m,) length in UV space that a pixel of the picture spans
         :param color: the texture holds sRGB colours where three channels are asked for, which become linear
         """
         levels, part = self.levels(source.texture), CHANNELS[source.channels]
         # UsdPreviewSurface's automatic colour space: 8-bit RGB is sRGB, single channels are data.
-        table = _SRGB if source.channels == "rgb" and color else _DATA
-        texels = (footprint * max(levels[0].shape[:2])).astype(np.float32)
-        chosen = np.clip(np.round(np.log2(np.maximum(texels, 1e-6))), 0, len(levels) - 1).astype(np.int64)
-        values = np.empty((len(uv), part.stop - part.start), np.float32)
-        for number in np.flatnonzero(np.bincount(chosen)):
-            at = np.flatnonzero(chosen == number)
-            values[at] = bilinear(levels[number], uv.take(at, axis=0), source.wrap_s, source.wrap_t, table, part)
-        values = values * np.array(source.scale[part], np.float32) + np.array(source.bias[part], np.float32)
+        table = _SRGB if source.channels == "rgb" and color else None
+        texels, parts = places.texels(source, levels)
+        values = np.empty((part.stop - part.start, len(texels)), np.float32)
+        for at, corners, right, down in parts:
+            for row, channel in zip(values, range(4)[part], strict=True):
+                four = (corner[:, channel] for corner in corners)
+                mixed = _mixed([one.astype(np.float32) if table is None else table.take(one) for one in four], right, down)
+                row[at] = mixed if table is not None else mixed * _STEP
+        for row, scale, bias in zip(values, source.scale[part], source.bias[part], strict=True):
+            if (scale, bias) != (1.0, 0.0):
+                row *= np.float32(scale)
+                row += np.float32(bias)
         return values, texels
+
+
+class Places:
+    """Where samples lie in a UV set; what several textures need there is found once."""
+
+    def __init__(self, uv: Sequence[FloatArray], footprint: FloatArray) -> None:
+        """:param uv: u and v (m,)
+        :param footprint: (m,) length in UV space that a pixel of the picture spans
+        """
+        self._uv, self._footprint = uv, footprint
+        self._found: dict[object, Any] = {}
+
+    def texels(self, source: TextureInput, levels: Sequence[ByteArray]) -> tuple[Float32Array, list[_Looked]]:
+        """How many texels of a texture a pixel spans (m,), and the texels around the samples, level by level."""
+        wraps, size = (source.wrap_s, source.wrap_t), levels[0].shape[:2]
+        key = (source.texture, wraps)
+        if (size, wraps) not in self._found:
+            spanned = (self._footprint * max(size)).astype(np.float32)
+            chosen = np.clip(np.round(np.log2(np.maximum(spanned, 1e-6))), 0, len(levels) - 1).astype(np.int64)
+            around = []
+            for number in np.flatnonzero(np.bincount(chosen)).tolist():
+                at = np.flatnonzero(chosen == number)
+                u, v = (axis.take(at) for axis in self._uv)
+                around.append((number, at, _around(levels[number].shape[:2], u, v, *wraps)))
+            self._found[size, wraps] = spanned, around
+        spanned, around = self._found[size, wraps]
+        if key not in self._found:
+            looked = []
+            for number, at, (places, right, down) in around:
+                whole = levels[number].reshape(-1, 4).view(np.uint32)[:, 0]  # four bytes at once
+                looked.append((at, [whole.take(one).view(np.uint8).reshape(-1, 4) for one in places], right, down))
+            self._found[key] = looked
+        return spanned, self._found[key]
 
 
 def _halved(pixels: ByteArray) -> list[ByteArray]:
@@ -78,31 +116,32 @@ def _halved(pixels: ByteArray) -> list[ByteArray]:
     return levels
 
 
-def bilinear(
-    pixels: AnyArray,
-    uv: FloatArray,
-    wrap_s: str = "repeat",
-    wrap_t: str = "repeat",
-    table: Float32Array | None = None,
-    channels: slice = _ALL,
-) -> Float32Array:
-    """(m, c) values of some channels of pixels (h, w, d), top row first, at UVs (m, 2) with v up.
-
-    :param table: of the values of 8 bits
-    """
-    height, width = pixels.shape[:2]
-    x = uv[:, 0] * width - 0.5
-    y = (1.0 - uv[:, 1]) * height - 0.5
-    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
-    left, right = _wrap(x0, width, wrap_s), _wrap(x0 + 1, width, wrap_s)
-    above, below = _wrap(y0, height, wrap_t), _wrap(y0 + 1, height, wrap_t)
+def bilinear(pixels: AnyArray, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat") -> Float32Array:
+    """(m, c) values of pixels (h, w, c), top row first, at UVs (m, 2) with v up."""
+    places, right, down = _around(pixels.shape[:2], uv[:, 0], uv[:, 1], wrap_s, wrap_t)
     flat = pixels.reshape(-1, pixels.shape[2])
-    places = (row * width + column for row in (above, below) for column in (left, right))
-    corners = (flat.take(place, axis=0)[:, channels] for place in places)
-    nw, ne, sw, se = corners if table is None else (table.take(corner) for corner in corners)
-    upper, lower = nw * (1 - fx) + ne * fx, sw * (1 - fx) + se * fx
-    return np.asarray(upper * (1 - fy) + lower * fy)
+    return _mixed([flat.take(place, axis=0) for place in places], right[:, None], down[:, None])
+
+
+def _around(
+    shape: tuple[int, ...], u: FloatArray, v: FloatArray, wrap_s: str, wrap_t: str
+) -> tuple[list[IntArray], Float32Array, Float32Array]:
+    """The four texels around UVs (m,), above and below, left and right; how far samples are from the first (m,)."""
+    height, width = shape
+    x, y = u * width - 0.5, (1.0 - v) * height - 0.5
+    left, top = np.floor(x), np.floor(y)
+    column, row = left.astype(np.int64), top.astype(np.int64)
+    rows = [_wrap(each, height, wrap_t) * width for each in (row, row + 1)]
+    columns = [_wrap(each, width, wrap_s) for each in (column, column + 1)]
+    right, down = ((each - first).astype(np.float32) for each, first in ((x, left), (y, top)))
+    return [one + other for one in rows for other in columns], right, down
+
+
+def _mixed(corners: Sequence[Float32Array], right: Float32Array, down: Float32Array) -> Float32Array:
+    """Values between four, each (m, ...)."""
+    nw, ne, sw, se = corners
+    upper, lower = nw + (ne - nw) * right, sw + (se - sw) * right
+    return np.asarray(upper + (lower - upper) * down)
 
 
 def _wrap(index: npt.NDArray[np.int64], size: int, mode: str) -> npt.NDArray[np.int64]:
@@ -111,7 +150,8 @@ def _wrap(index: npt.NDArray[np.int64], size: int, mode: str) -> npt.NDArray[np.
     if mode == "mirror":
         folded = index % (2 * size)
         return np.where(folded < size, folded, 2 * size - 1 - folded)
-    return np.asarray(index % size)
+    # a remainder takes eight times as long as the bits below a power of two
+    return np.asarray(index % size if size & (size - 1) else index & (size - 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +222,7 @@ class Scene:
         size = np.sqrt(np.abs(u1 * v2 - u2 * v1) / 2)
         known = np.isfinite(size)
         mean = np.ones(len(corners))
-        mean[known] = self.textures.sample(opacity, corners[known].mean(axis=1), size[known])[0][:, 0]
+        mean[known] = self.textures.sample(opacity, Places(corners[known].mean(axis=1).T, size[known]))[0][0]
         return mean
 
     @cached_property
@@ -284,8 +324,10 @@ def build_scene(parts: FaceParts, points: FloatArray | None, size: int = 800, li
 
 def _welded(points: FloatArray, normals: FloatArray) -> FloatArray:
     """Normals shared by points at one place, so that files that split points at UV seams show no seam."""
-    _, group = np.unique(points, axis=0, return_inverse=True)
-    group = group.ravel()
+    order = np.lexsort(points.T)  # as `numpy.unique` along an axis has it, which takes twice as long
+    sorted_points = points.take(order, axis=0)
+    group = np.zeros(len(points), np.int64)
+    group[order[1:]] = np.cumsum((sorted_points[1:] != sorted_points[:-1]).any(axis=1))
     if not len(points) or group.max() + 1 == len(points):
         return normals
     summed = np.stack([np.bincount(group, normals[:, axis]) for axis in range(3)], axis=1)

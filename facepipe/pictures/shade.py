@@ -11,13 +11,14 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
-from facepipe.geometry.rasterise import barycentrics, interpolated
+from facepipe.geometry.rasterise import edge_planes, shares
+from facepipe.geometry.vectors import cross_columns, dot_columns
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.lighting import EVEN, PORTRAIT, Lit, PhotoLights, Portrait, Samples, Studio
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
 from facepipe.pictures.overlay import HeatMap
-from facepipe.pictures.scene import Scene
+from facepipe.pictures.scene import Places, Scene
 
 T = TypeVar("T")
 
@@ -39,6 +40,8 @@ _NUMBERS = {  # and their values without a texture
 }
 _TEXTURED = ("diffuse_color", "emissive_color", *_NUMBERS, "normal")
 D = TypeVar("D")
+_Look = Callable[..., tuple[Float32Array, Float32Array] | None]
+_Folds = tuple[Float32Array, Float32Array] | None
 INSIDE = 0.28  # how much light the inner side of a single-sided mesh gets
 CHUNK = 20_000  # samples shaded at once
 _PATTERN = np.array([0.06711056, 0.00583715]), 52.9829189  # interleaved gradient noise (Jimenez 2014)
@@ -96,146 +99,145 @@ class Materials:
         :param colors: (m, 3) the points' own
         :param opacity: (m,) of `opacity`, if that is known
         """
-        kind = self._scene.surface[ids]
-        table = self._table.take(kind, axis=0)
+        # by columns (c, m) that are handed on as rows: numpy takes five times as long over rows of three
+        kind = self._scene.surface.take(ids)
+        table = self._table.take(kind, axis=1)
+        base, emission, (metallic, roughness, _, occlusion, coat, coat_roughness) = table[:3], table[3:6], table[6:12]
         opacity = self.opacity(ids, weights) if opacity is None else opacity
-        surfaces = Surfaces(
-            base=table[:, 0:3] * np.where(self._colored[kind, None], colors, 1.0).astype(np.float32),
-            emission=table[:, 3:6].copy(),
-            metallic=table[:, 6].copy(),
-            roughness=table[:, 7].copy(),
-            opacity=opacity,
-            presence=np.maximum(opacity, 1 - table[:, 7] / _MATT),
-            gloss=np.ones(len(ids), np.float32),
-            through=np.zeros(len(ids), np.float32),
-            occlusion=table[:, 9].copy(),
-            coat=table[:, 10].copy(),
-            coat_roughness=table[:, 11].copy(),
-            mirror=np.repeat(table[:, 12:], 3, axis=1),
-            normals=normals.copy(),
-        )
-        for number, material in enumerate(self._each):
+        if self._colored.any():
+            base *= np.where(self._colored.take(kind), colors.T, np.float32(1))
+        presence = np.maximum(opacity, 1 - roughness / _MATT)
+        gloss, through = np.ones(len(ids), np.float32), np.zeros(len(ids), np.float32)
+        turned = np.array(normals.T, order="C")
+        fields = {
+            "diffuse_color": base,
+            "emissive_color": emission,
+            "metallic": metallic[None],
+            "roughness": roughness[None],
+            "occlusion": occlusion[None],
+            "clearcoat": coat[None],
+            "clearcoat_roughness": coat_roughness[None],
+        }
+        for number in np.flatnonzero(np.bincount(kind)).tolist():
+            material = self._each[number]
             if _inputs(material):
                 at = np.flatnonzero(kind == number)
-                own_ids, own_weights = ids.take(at), weights.take(at, axis=0)
-                targets = {
-                    "diffuse_color": surfaces.base,
-                    "emissive_color": surfaces.emission,
-                    "metallic": surfaces.metallic[:, None],
-                    "roughness": surfaces.roughness[:, None],
-                    "occlusion": surfaces.occlusion[:, None],
-                    "clearcoat": surfaces.coat[:, None],
-                    "clearcoat_roughness": surfaces.coat_roughness[:, None],
-                }
-                for name, target in targets.items():
+                look = self._look(ids.take(at), weights.T.take(at, axis=1))
+                for name, target in fields.items():
                     source = getattr(material, name)
-                    read = self._read(source, own_ids, own_weights) if isinstance(source, TextureInput) else None
+                    read = look(source) if isinstance(source, TextureInput) else None
                     if read is not None:
-                        target[at] = np.clip(read[0], 0.0, 1.0)
+                        for row, values in zip(target, read[0], strict=True):
+                            row[at] = np.clip(values, 0.0, 1.0)
                 if isinstance(material.opacity, TextureInput):
-                    matt = np.minimum(surfaces.roughness[at] / _MATT, 1)
-                    surfaces.presence[at] = np.maximum(
-                        surfaces.opacity[at], (1 - matt) * np.minimum(surfaces.opacity[at] / _CUT, 1)
-                    )
-                    surfaces.gloss[at] = 1 - (1 - _STRANDS) * matt
-                    surfaces.through[at] = _THROUGH * matt
-                folds = self._folds(material, own_ids, own_weights)
+                    matt, own = np.minimum(roughness[at] / _MATT, 1), opacity[at]
+                    presence[at] = np.maximum(own, (1 - matt) * np.minimum(own / _CUT, 1))
+                    gloss[at] = 1 - (1 - _STRANDS) * matt
+                    through[at] = _THROUGH * matt
+                folds = self._folds(material, look)
                 if folds is not None:
-                    surfaces.base[at] *= folds[0]
+                    base[:, at] *= folds[0]
                 if material.normal is not None:
-                    self._bend(material.normal, surfaces, at, own_ids, own_weights, None if folds is None else folds[1])
-        metal = surfaces.metallic[:, None]
-        surfaces.mirror[:] += (surfaces.base - surfaces.mirror) * metal
-        return surfaces
+                    bent = self._bent(material.normal, turned.take(at, axis=1), ids.take(at), look, folds)
+                    if bent is not None:
+                        turned[:, at], length = bent
+                        # Toksvig 2005: averaged normals are shorter, by as much as they vary.
+                        roughness[at] = np.minimum((roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
+        mirror = table[12] + (base - table[12]) * metallic
+        return Surfaces(
+            base=base.T,
+            emission=emission.T,
+            metallic=metallic,
+            roughness=roughness,
+            opacity=opacity,
+            presence=presence,
+            gloss=gloss,
+            through=through,
+            occlusion=occlusion,
+            coat=coat,
+            coat_roughness=coat_roughness,
+            mirror=mirror.T,
+            normals=turned.T,
+        )
 
     def opacity(self, ids: IntArray, weights: Float32Array) -> Float32Array:
         """(m,) opacity alone."""
-        kind = self._scene.surface[ids]
-        opacity: Float32Array = self._table[kind, 8]
-        for number, material in enumerate(self._each):
+        kind = self._scene.surface.take(ids)
+        opacity: Float32Array = self._table[8].take(kind)
+        for number in np.flatnonzero(np.bincount(kind)).tolist():
+            material = self._each[number]
             if isinstance(material.opacity, TextureInput):
                 at = np.flatnonzero(kind == number)
-                whole = material.opacity_threshold > 0
-                read = self._read(material.opacity, ids.take(at), weights.take(at, axis=0), whole=whole)
+                look = self._look(ids.take(at), weights.T.take(at, axis=1))
+                read = look(material.opacity, whole=material.opacity_threshold > 0)
                 if read is not None:
-                    found: FloatArray = read[0][:, 0]
+                    found: FloatArray = read[0][0]
                     if material.opacity_threshold > 0:  # cut with an edge of a pixel at most, and of half a texel
                         found = np.asarray((found - material.opacity_threshold) / np.clip(read[1], 0.02, 0.5) + 0.5)
                     opacity[at] = np.clip(found, 0.0, 1.0)
         return opacity
 
-    def _read(
-        self, source: TextureInput, ids: IntArray, weights: Float32Array, *, color: bool = True, whole: bool = False
-    ) -> tuple[Float32Array, Float32Array] | None:
-        """Values (m, c), and how many texels a pixel spans (m,); None where the mesh lacks the UV set.
+    def _look(self, ids: IntArray, weights: Float32Array) -> _Look:
+        """What reads textures at barycentrics (3, m) in triangles `ids` (m,) of one surface.
 
-        :param whole: of all texels in a pixel, as many as it spans its longer way; else as on average of both ways
+        It gives values (c, m), and how many texels a pixel spans (m,); None where the mesh lacks the UV set. With
+        `whole` these are all texels in a pixel, as many as it spans its longer way; else as on average of both ways.
         """
-        layout = self._layouts[source.uv_set]
-        if len(ids) == 0 or np.isnan(layout.corners[ids[0], 0, 0]):
-            return None
-        corners = layout.corners.take(ids, axis=0)
-        uv = interpolated((corners[:, 0], corners[:, 1], corners[:, 2]), weights)
-        footprint = layout.longest if whole else layout.footprint
-        return self._scene.textures.sample(source, uv, footprint.take(ids), color=color)
+        places: dict[tuple[str, bool], Places | None] = {}
 
-    def _folds(
-        self, material: Material, ids: IntArray, weights: Float32Array
-    ) -> tuple[Float32Array, Float32Array] | None:
-        """Factor of the colour (m, 3), and x and y (m, 2) to add to the normal map's; None: nothing is wrinkled."""
+        def look(
+            source: TextureInput, *, color: bool = True, whole: bool = False
+        ) -> tuple[Float32Array, Float32Array] | None:
+            key = (source.uv_set, whole)
+            if key not in places:
+                places[key] = self._layouts[source.uv_set].places(ids, weights, whole=whole)
+            at = places[key]
+            return None if at is None else self._scene.textures.sample(source, at, color=color)
+
+        return look
+
+    def _folds(self, material: Material, look: _Look) -> _Folds:
+        """Factor of the colour (3, m), and x and y (2, m) to add to the normal map's; None: nothing is wrinkled."""
         if material.wrinkles is None:
             return None
-        reads = [
-            (region.strength(self._weights), self._read(region.mask, ids, weights))
-            for region in material.wrinkles.regions
-        ]
-        tint = self._read(material.wrinkles.tint, ids, weights, color=False)
-        normal = self._read(material.wrinkles.normal, ids, weights, color=False)
+        reads = [(region.strength(self._weights), look(region.mask)) for region in material.wrinkles.regions]
+        tint, normal = look(material.wrinkles.tint, color=False), look(material.wrinkles.normal, color=False)
         if tint is None or normal is None:
             return None
         strengths = (np.float32(strength) * mask[0] for strength, mask in reads if mask is not None)
-        share = np.minimum(sum(strengths, np.zeros((len(ids), 1), np.float32)), 1)
-        return 1 + share * (tint[0] - 1), share * normal[0][:, :2]
+        share = np.minimum(sum(strengths, np.zeros((1, tint[0].shape[1]), np.float32)), 1)
+        return 1 + share * (tint[0] - 1), share * normal[0][:2]
 
-    def _bend(
-        self,
-        source: TextureInput,
-        surfaces: Surfaces,
-        at: IntArray,
-        ids: IntArray,
-        weights: Float32Array,
-        folds: Float32Array | None,
-    ) -> None:
-        """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead.
+    def _bent(
+        self, source: TextureInput, outward: Float32Array, ids: IntArray, look: _Look, folds: _Folds
+    ) -> tuple[Float32Array, Float32Array] | None:
+        """Normals (3, m) turned by a normal map, and the lengths (m,) of what a pixel averages in it.
 
-        :param folds: (m, 2) what is added to x and y
+        :param folds: as `_folds` gives them
         """
         if source.scale[:2] == (1.0, 1.0):  # files that don't author scale and bias mean 2 and -1
             source = replace(source, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
-        read = self._read(source, ids, weights, color=False)
+        read = look(source, color=False)
         if read is None:
-            return
+            return None
         texel, layout = read[0], self._layouts[source.uv_set]
-        # Toksvig 2005: averaged normals are shorter, by as much as they vary.
-        length = np.clip(np.sqrt(_dot(texel, texel)), 0.5, 1.0)
-        surfaces.roughness[at] = np.minimum((surfaces.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
+        length = np.clip(np.sqrt(dot_columns(texel, texel)), 0.5, 1.0)
         if folds is not None:
-            texel[:, :2] += folds
-        outward = surfaces.normals.take(at, axis=0)
-        bent = layout.along.take(ids, axis=0) * texel[:, :1] + layout.across.take(ids, axis=0) * texel[:, 1:2]
-        bent += outward * (np.maximum(texel[:, 2], 0.05) - _dot(bent, outward))[:, None]
-        surfaces.normals[at] = _unit(bent)
+            texel[:2] += folds[1]
+        bent = layout.along.take(ids, axis=1) * texel[0] + layout.across.take(ids, axis=1) * texel[1]
+        bent += outward * (np.maximum(texel[2], 0.05) - dot_columns(bent, outward))
+        return _unit_columns(bent), length
 
     @cached_property
     def _table(self) -> Float32Array:
-        """(surfaces, 13): base and emitted colour, `_NUMBERS`, mirror; where they are constant."""
+        """(13, surfaces): base and emitted colour, `_NUMBERS`, mirror; where they are constant."""
         rows = []
         for material, colored in zip(self._each, self._colored, strict=True):
             base = (1.0, 1.0, 1.0) if colored else _constant(material.diffuse_color, CLAY)
             emitted = _constant(material.emissive_color, (0.0, 0.0, 0.0))
             numbers = [_constant(getattr(material, name), default) for name, default in _NUMBERS.items()]
             rows.append((*base, *emitted, *numbers, ((material.ior - 1) / (material.ior + 1)) ** 2))
-        return np.array(rows, np.float32).reshape(-1, 13)
+        return np.ascontiguousarray(np.array(rows, np.float32).reshape(-1, 13).T)
 
     @cached_property
     def _colored(self) -> BoolArray:
@@ -249,36 +251,46 @@ class Materials:
 class _Layout:
     """How one UV set lies on the triangles."""
 
-    corners: Float32Array  # (t, 3, 2), NaN where the mesh lacks it
+    corners: Float32Array  # (6, t) u and v of the first corner, of the second, of the third, NaN where the mesh lacks it
     footprint: Float32Array  # (t,) length in UV space that a pixel spans
     longest: Float32Array  # (t,) the same the way that it spans most, and `_STRETCH` of that at most
-    along: Float32Array  # (t, 3) unit tangents in camera axes: the way that u grows
-    across: Float32Array  # (t, 3) and v
+    along: Float32Array  # (3, t) unit tangents in camera axes: the way that u grows
+    across: Float32Array  # (3, t) and v
+
+    def places(self, ids: IntArray, weights: Float32Array, *, whole: bool) -> Places | None:
+        """Where barycentrics (3, m) in triangles `ids` (m,) of one surface lie; None where its mesh lacks the UV set."""
+        if len(ids) == 0 or np.isnan(self.corners[0, ids[0]]):
+            return None
+        uv = []
+        for axis in range(2):
+            first, second, third = (self.corners[row].take(ids) for row in (axis, axis + 2, axis + 4))
+            uv.append(first * weights[0] + second * weights[1] + third * weights[2])
+        return Places(uv, (self.longest if whole else self.footprint).take(ids))
 
 
 def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
     # a damaged file's UVs can be beyond what float32 multiplies; at a million it holds no part of a texture any more
     corners = np.clip(scene.uv_corners(uv_set), -_FARTHEST_UV, _FARTHEST_UV)
-    (u1, v1), (u2, v2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    corners = np.ascontiguousarray(corners.reshape(-1, 6).T)
+    (u1, v1), (u2, v2) = corners[2:4] - corners[:2], corners[4:] - corners[:2]
     area = u1 * v2 - u2 * v1
-    first, second, third = (camera.to_camera(scene.points)[each].astype(np.float32) for each in scene.triangles.T)
-    depth = np.maximum(-first[:, 2], 1e-6)
+    points = np.ascontiguousarray(camera.to_camera(scene.points).T, np.float32)
+    first, second, third = (points.take(each, axis=1) for each in scene.triangles.T)
+    depth = np.maximum(-first[2], 1e-6)
     p1, p2 = second - first, third - first
-    facing = np.abs(np.einsum("tc,tc->t", np.cross(p1, p2), first)) / depth
+    facing = np.abs(dot_columns(cross_columns(p1, p2), first)) / depth
     pixels = np.maximum(facing * (camera.focal / depth) ** 2, 1e-6)
     footprint = np.sqrt(np.abs(area) / pixels)
-    (x1, y1), (x2, y2) = p1[:, :2].T, p2[:, :2].T
+    (x1, y1, _), (x2, y2, _) = p1, p2
     right, down = np.hypot(u1 * y2 - u2 * y1, v1 * y2 - v2 * y1), np.hypot(u2 * x1 - u1 * x2, v2 * x1 - v1 * x2)
     longest = np.maximum(right, down) / np.maximum(np.abs(x1 * y2 - x2 * y1), 1e-12) * depth / camera.focal
-    sign = np.where(area < 0, np.float32(-1), np.float32(1))[:, None]
-    along = (p1 * v2[:, None] - p2 * v1[:, None]) * sign
-    across = (p2 * u1[:, None] - p1 * u2[:, None]) * sign
+    sign = np.where(area < 0, np.float32(-1), np.float32(1))
     return _Layout(
         corners=corners,
         footprint=footprint,
         longest=np.clip(longest, footprint, _STRETCH * footprint),
-        along=_unit(along),
-        across=_unit(across),
+        along=_unit_columns((p1 * v2 - p2 * v1) * sign),
+        across=_unit_columns((p2 * u1 - p1 * u2) * sign),
     )
 
 
@@ -301,15 +313,9 @@ def _constant(value: T | TextureInput, otherwise: T) -> T:
     return otherwise if isinstance(value, TextureInput) else value
 
 
-def _unit(vectors: FloatArray, least: float = 1e-24) -> Float32Array:
-    """(m, 3) of length 1; with a square below the `least` they are shorter."""
-    squares = np.maximum(_dot(vectors, vectors), least)
-    return np.asarray(vectors / np.sqrt(squares)[:, None], np.float32)
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(m,) products of vectors (m, 3): numpy's own sums over three numbers take four times as long."""
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
+def _unit_columns(vectors: FloatArray) -> Float32Array:
+    """(3, m) of length 1."""
+    return np.asarray(vectors / np.sqrt(np.maximum(dot_columns(vectors, vectors), 1e-24)), np.float32)
 
 
 def joined(parts: Sequence[D]) -> D:
@@ -395,8 +401,13 @@ class Shader:
 
     @cached_property
     def unit_facets(self) -> Float32Array:
-        """(t, 3) unit vectors across the triangles."""
-        return _unit(self.scene.facets)
+        """(3, t) unit vectors across the triangles."""
+        return _unit_columns(self.scene.facets.T)
+
+    @cached_property
+    def planes(self) -> FloatArray:
+        """(9, t) `edge_planes` of the camera."""
+        return edge_planes(self.homogeneous, self.scene.triangles)
 
     @cached_property
     def materials(self) -> Materials:
@@ -405,20 +416,33 @@ class Shader:
 
     @cached_property
     def point_values(self) -> Float32Array:
-        """(n, 10 + 2 c) what is interpolated: camera position, normal, own colour, heat value, light on either side."""
-        scene = self.scene
+        """(n, 6 + c + k) what is interpolated: camera position, normal, light on the side of the normal, `look_values`."""
+        position, turned = self.camera.to_camera(self.scene.points), self.scene.normals @ self.camera.axes.T
+        ahead = self.studio.carried(self.scene.sky, self.scene.normals, self.camera.axes)
+        return np.column_stack([position, turned, ahead, self.look_values]).astype(np.float32)
+
+    @cached_property
+    def behind(self) -> Float32Array:
+        """(n, c) light on the other side."""
+        return self.studio.carried(self.scene.sky, -self.scene.normals, self.camera.axes).astype(np.float32)
+
+    @cached_property
+    def look_values(self) -> FloatArray:
+        """(n, 0), or (n, 1) heat values, or (n, 3) colours of points: paint, or their own."""
+        scene, meshes = self.scene, [surface.mesh for surface in self.scene.surfaces]
+        if self.heatmap is not None:
+            return self.heatmap.values[:, None]
+        if self.paint is not None:
+            return self.paint
+        if all(mesh.colors is None for mesh in meshes):
+            return np.zeros((len(scene.points), 0))
         colors: FloatArray = np.ones((len(scene.points), 3))
-        numbers, at = np.unique(self.scene.surface, return_index=True)
+        numbers, at = np.unique(scene.surface, return_index=True)
         for number, triangle in zip(numbers, at, strict=True):
-            surface, start = self.scene.surfaces[number], int(self.scene.first_point[triangle])
-            if surface.mesh.colors is not None:
-                colors[start : start + len(surface.mesh.points)] = surface.mesh.colors
-        colors = colors if self.paint is None else self.paint
-        heat = np.zeros(len(scene.points)) if self.heatmap is None else self.heatmap.values
-        position = self.camera.to_camera(scene.points)
-        turned = scene.normals @ self.camera.axes.T
-        sides = [self.studio.carried(scene.sky, each, self.camera.axes) for each in (scene.normals, -scene.normals)]
-        return np.column_stack([position, turned, colors, heat, *sides]).astype(np.float32)
+            own, start = meshes[number].colors, int(scene.first_point[triangle])
+            if own is not None:
+                colors[start : start + len(own)] = own
+        return colors
 
     @cached_property
     def shadow(self) -> DepthMap | None:
@@ -430,7 +454,7 @@ class Shader:
 
     def prepare(self, ids: IntArray) -> None:
         """Compute what all samples share, several things at once, before samples in triangles `ids` are shaded."""
-        textures = self.materials.textures(np.unique(self.scene.surface[ids]))
+        textures = self.materials.textures(np.flatnonzero(np.bincount(self.scene.surface.take(ids))))
         levels = [partial(self.scene.textures.levels, texture) for texture in textures]
         calls: list[Callable[[], object]] = [lambda: self.point_values, lambda: self.shadow, *levels]
         mapped(lambda call: call(), calls)
@@ -459,34 +483,38 @@ class Shader:
         opacity = np.empty(len(ids), np.float32)
         for start in range(0, len(ids), CHUNK):
             part = slice(start, start + CHUNK)
-            weights = barycentrics(self.homogeneous, self.scene.triangles, ids[part], x[part], y[part])
-            opacity[part] = self.materials.opacity(ids[part], weights.astype(np.float32))
+            weights = shares(self.planes, ids[part], x[part], y[part]).astype(np.float32)
+            opacity[part] = self.materials.opacity(ids[part], weights.T)
         return opacity
 
     def _shade(self, ids: IntArray, x: FloatArray, y: FloatArray, grainy: bool, opacity: Float32Array | None) -> Shaded:
-        weights = barycentrics(self.homogeneous, self.scene.triangles, ids, x, y).astype(np.float32)
+        weights = shares(self.planes, ids, x, y).astype(np.float32)
         corners = self.scene.triangles.take(ids, axis=0).T
-        values = interpolated([self.point_values.take(corner, axis=0) for corner in corners], weights)
-        front = self.front[ids]
-        normals = _unit(values[:, 3:6])
-        surfaces = self.materials.at(ids, weights, normals, values[:, 6:9], opacity)
+        values = _between(self.point_values, corners, weights)
+        front, sided = self.front.take(ids), self.scene.double_sided.take(ids)
+        position, normals = values[:3], _unit_columns(values[3:6])
+        ahead, own = np.split(values[6:], [values.shape[0] - 6 - self.look_values.shape[1]])
+        colored = self.heatmap is None and len(own) == 3
+        white = np.broadcast_to(np.float32(1), (len(ids), 3))
+        surfaces = self.materials.at(ids, weights.T, normals.T, own.T if colored else white, opacity)
         if self.heatmap is not None:
-            surfaces.base[:] = self.heatmap.colors(values[:, 9])
+            surfaces.base[:] = self.heatmap.colors(own[0])
         elif self.paint is not None:
-            surfaces.base[:] = values[:, 6:9]
-        normals = surfaces.normals * np.where(front, 1, -1).astype(np.float32)[:, None]
-        inside = np.where(front | self.scene.double_sided[ids], 1.0, INSIDE).astype(np.float32)
-        # (m, c) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open
-        ahead, behind = np.split(values[:, 10:], 2, axis=1)
-        behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
+            surfaces.base[:] = own.T
+        normals = surfaces.normals.T * np.where(front, 1, -1).astype(np.float32)
+        inside = np.where(front | sided, 1.0, INSIDE).astype(np.float32)
+        # (c, m) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open
+        at = np.flatnonzero(~front)
+        ahead[:, at] = 1.0
+        at = at[sided[at]]
+        ahead[:, at] = _between(self.behind, corners[:, at], weights[:, at])
         samples = Samples(
-            normals=normals,
-            towards_eye=_unit(-values[:, :3]),
+            normals=normals.T,
+            towards_eye=_unit_columns(-position).T,
             up=self.camera.axes[:, 1].astype(np.float32),
             base=surfaces.base,
             roughness=surfaces.roughness,
-            carried=_through(np.where(front[:, None], ahead, behind).T, surfaces.through).T
-            * surfaces.occlusion[:, None],
+            carried=(_through(ahead, surfaces.through) * surfaces.occlusion).T,
             mirror=surfaces.mirror,
             coat=surfaces.coat,
             coat_roughness=surfaces.coat_roughness,
@@ -503,10 +531,10 @@ class Shader:
             base=surfaces.base * (1 - surfaces.metallic[:, None]),
             lit=lit,
             scattered=np.zeros_like(lit.diffuse),
-            key_light=_through(self._key_light(values[:, :3], samples.normals, turns), surfaces.through),
+            key_light=_through(self._key_light(position.T, samples.normals, turns), surfaces.through),
             opacity=surfaces.opacity,
             presence=surfaces.presence,
-            depth=-values[:, 2],
+            depth=-position[2],
         )
 
     def _key_light(self, position: FloatArray, normals: FloatArray, turns: FloatArray | None) -> FloatArray:
@@ -515,8 +543,8 @@ class Shader:
         if self.shadow is None or self.studio.key is None:
             return arriving
         facing = np.flatnonzero(normals @ self.studio.key > -0.35)
-        world = position.take(facing, axis=0) @ self.camera.axes + self.camera.eye
-        turned = normals.take(facing, axis=0) @ self.camera.axes
+        world = position.T.take(facing, axis=1).T @ self.camera.axes + self.camera.eye
+        turned = normals.T.take(facing, axis=1).T @ self.camera.axes
         if turns is None:
             arriving[facing] = self.shadow.lit(world, turned, radius=2)
         else:
@@ -527,3 +555,11 @@ class Shader:
 def _through(light: FloatArray, share: FloatArray) -> FloatArray:
     """Shares of light (..., m) of which a share (m,) arrives in any case."""
     return light + share * (1 - light)
+
+
+def _between(values: Float32Array, corners: IntArray, weights: Float32Array) -> Float32Array:
+    """(c, m) values (n, c) of points at barycentrics (3, m) between corners (3, m)."""
+    rows = values.take(corners[0], axis=0) * weights[0, :, None]
+    for corner, share in zip(corners[1:], weights[1:], strict=True):
+        rows += values.take(corner, axis=0) * share[:, None]
+    return np.ascontiguousarray(rows.T)
