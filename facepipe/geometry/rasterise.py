@@ -78,19 +78,23 @@ def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles
 
     :param points: (n, 4) ``x w, y w, nearness w, w`` in pixels, nearness above 0; what has w below `NEAR` is cut off
     """
-    ids: IntArray = np.arange(len(triangles))
     if (points[:, 3] > NEAR).all():
-        columns = [column / points[:, 3] for column in points[:, :3].T]
-        corner = np.ascontiguousarray(triangles.T)
-        for middles in (np.ceil(column - 0.5) for column in columns[:2]):  # most triangles of a small picture have none
-            low, high = _extent(middles.take(corner))
-            crossing = np.flatnonzero(low < high)
-            ids, corner = ids[crossing], corner.take(crossing, axis=1)
-        x, y, nearness = (column.take(corner) for column in columns)
-    else:
-        corners, ids = _clip(points[triangles], ids)
-        x, y, nearness = (corners[..., axis].T / corners[..., 3].T for axis in range(3))
-    return on_screen(ids, x, y, nearness)
+        return crossing(np.stack([column / points[:, 3] for column in points[:, :3].T]), triangles)
+    corners, ids = _clip(points[triangles], np.arange(len(triangles)))
+    return on_screen(ids, *(corners[..., axis].T / corners[..., 3].T for axis in range(3)))
+
+
+def crossing(points: FloatArray, triangles: IntArray) -> ScreenTriangles:
+    """Triangles (t, 3) that lie in front of the camera, ready to rasterise.
+
+    :param points: (3, n) pixels, x and then y downward, and nearness above 0; larger is nearer
+    """
+    ids, corner = np.arange(len(triangles)), np.ascontiguousarray(triangles.T)
+    for axis in points[:2]:  # most triangles of a small picture cover no pixel's centre
+        low, high = _extent(np.ceil(axis - 0.5).take(corner))
+        some = np.flatnonzero(low < high)
+        ids, corner = ids.take(some), corner.take(some, axis=1)
+    return _ready(ids, *(axis.take(corner) for axis in points))
 
 
 def on_screen(ids: IntArray, x: FloatArray, y: FloatArray, nearness: FloatArray) -> ScreenTriangles:
@@ -102,7 +106,11 @@ def on_screen(ids: IntArray, x: FloatArray, y: FloatArray, nearness: FloatArray)
     :param nearness: (3, t) above 0; larger is nearer
     """
     at = np.flatnonzero(_crosses_centers(x) & _crosses_centers(y))
-    ids, x, y, nearness = ids[at], *(corner.take(at, axis=1) for corner in (x, y, nearness))
+    return _ready(ids[at], *(corner.take(at, axis=1) for corner in (x, y, nearness)))
+
+
+def _ready(ids: IntArray, x: FloatArray, y: FloatArray, nearness: FloatArray) -> ScreenTriangles:
+    """Triangles that may cover centres of pixels; takes the arrays over."""
     for low, high in ((0, 1), (1, 2), (0, 1)):
         swapped = y[low] > y[high]
         for corner in (x, nearness):
@@ -113,7 +121,7 @@ def on_screen(ids: IntArray, x: FloatArray, y: FloatArray, nearness: FloatArray)
         y[low], y[high] = np.minimum(y[low], y[high]), np.maximum(y[low], y[high])
     (ux, vx), (uy, vy), (un, vn) = (corner[1:] - corner[0] for corner in (x, y, nearness))
     area = ux * vy - uy * vx
-    flat = np.abs(area) <= 1e-12
+    flat = np.flatnonzero(np.abs(area) <= 1e-12)
     area[flat] = np.inf
     y[2, flat] = y[0, flat]  # it crosses no row
     return ScreenTriangles(
@@ -139,15 +147,18 @@ def rasterise(screen: ScreenTriangles, width: int, height: int, *, rows: tuple[i
     return Raster(key=key)
 
 
-def depths(screen: ScreenTriangles, width: int, height: int) -> tuple[Float32Array, Float32Array]:
-    """(height, width) nearness of what is nearest at the centre of every pixel, and of what is farthest.
+def depths(
+    screen: ScreenTriangles, width: int, height: int, *, far: bool = True
+) -> tuple[Float32Array, Float32Array]:
+    """(height, width) nearness of what is nearest at the centre of every pixel, and with `far` of what is farthest.
 
     Where there is nothing, they are 0 and infinity.
     """
     nearest, farthest = (np.full((height, width), empty, np.float32) for empty in (0, np.inf))
     for _, pixel, nearness, _ in _fragments(screen, width, 0, height):
         np.maximum.at(nearest.reshape(-1), pixel, nearness)
-        np.minimum.at(farthest.reshape(-1), pixel, nearness)
+        if far:
+            np.minimum.at(farthest.reshape(-1), pixel, nearness)
     return nearest, farthest
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
-from facepipe.geometry.rasterise import depths, screen_triangles
+from facepipe.geometry.rasterise import crossing, depths
 
 AMBIENT_DIRECTIONS = 24
 SKY_RESOLUTION = 256  # map pixels
@@ -110,59 +110,90 @@ class DepthMap:
 
 def depth_map(points: FloatArray, triangles: IntArray, towards: FloatArray, resolution: int) -> DepthMap:
     """The scene's triangles (t, 3) as seen from the direction `towards` (3,), a distant light."""
-    return depth_maps(points, triangles, towards, resolution)[0]
+    return _Blockers(points, triangles).maps(towards, resolution, back=False)[0]
 
 
 def depth_maps(
     points: FloatArray, triangles: IntArray, towards: FloatArray, resolution: int
 ) -> tuple[DepthMap, DepthMap]:
     """The scene's triangles (t, 3) as distant lights see them, one from `towards` (3,), one from the other side."""
-    backward = towards / np.linalg.norm(towards)
-    helper = np.eye(3)[np.argmin(np.abs(backward))]
-    right = np.cross(helper, backward)
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(backward, right), backward])
-    drawn = np.zeros(len(points), dtype=bool)
-    drawn[triangles] = True
-    placed = (axes @ points.T).compress(drawn, axis=1)
-    low, high = placed.min(axis=1), placed.max(axis=1)
-    scale = (resolution - 8) / max(float(np.max(high - low)), 1e-12)
-    # Nearness starts at 1: 0 marks an empty pixel.
-    origin = np.array([resolution / 2, resolution / 2, 1.0]) - scale * np.append((low + high)[:2] / 2, low[2])
-    at = points @ (axes.T * scale) + origin
-    screen = screen_triangles(np.column_stack([at, np.ones(len(at))]).astype(np.float32), triangles)
-    nearest, farthest = depths(screen, resolution, resolution)
-    # From the other side, nearness counts down from the farthest.
-    most = 2 + scale * (high - low)[2]
-    turned = np.where(np.isinf(farthest), np.float32(0), np.float32(most) - farthest)
-    return (
-        DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearest),
-        DepthMap(axes=axes * _BACK[:, None], scale=scale, origin=origin * _BACK + (0, 0, most), nearness=turned),
-    )
+    return _Blockers(points, triangles).maps(towards, resolution)
+
+
+class _Blockers:
+    """What keeps light away, as distant lights see it."""
+
+    def __init__(self, points: FloatArray, triangles: IntArray) -> None:
+        """Of triangles (t, 3) between points (n, 3)."""
+        drawn = np.zeros(len(points), dtype=bool)
+        drawn[triangles] = True
+        self._points = np.ascontiguousarray(points[drawn].T)  # others would stretch what a light looks at
+        self._triangles = np.asfortranarray((np.cumsum(drawn) - 1).take(triangles))
+
+    def maps(self, towards: FloatArray, resolution: int, *, back: bool = True) -> tuple[DepthMap, DepthMap]:
+        """Maps of the light from `towards` (3,), and with `back` from the other side."""
+        backward = towards / np.linalg.norm(towards)
+        helper = np.eye(3)[np.argmin(np.abs(backward))]
+        right = np.cross(helper, backward)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(backward, right), backward])
+        placed = axes @ self._points
+        low, high = placed.min(axis=1), placed.max(axis=1)
+        scale = (resolution - 8) / max(float(np.max(high - low)), 1e-12)
+        # Nearness starts at 1: 0 marks an empty pixel.
+        origin = np.array([resolution / 2, resolution / 2, 1.0]) - scale * np.append((low + high)[:2] / 2, low[2])
+        at = (scale * placed + origin[:, None]).astype(np.float32)
+        nearest, farthest = depths(crossing(at, self._triangles), resolution, resolution, far=back)
+        # From the other side, nearness counts down from the farthest.
+        most = 2 + scale * (high - low)[2]
+        turned = np.where(np.isinf(farthest), np.float32(0), np.float32(most) - farthest)
+        return (
+            DepthMap(axes=axes, scale=scale, origin=origin, nearness=nearest),
+            DepthMap(axes=axes * _BACK[:, None], scale=scale, origin=origin * _BACK + (0, 0, most), nearness=turned),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkyMaps:
+    """What stands before each part of the sky; points look it up."""
+
+    directions: FloatArray  # (d, 3) unit, world
+    maps: tuple[DepthMap, ...]  # d; none where nothing stands anywhere
+
+    @classmethod
+    def of(cls, points: FloatArray, triangles: IntArray, resolution: int) -> SkyMaps:
+        """Of triangles (t, 3), `resolution` pixels a side of the map that each direction has."""
+        directions = sphere_directions(AMBIENT_DIRECTIONS)
+        if not len(triangles):
+            return cls(directions=directions, maps=())
+        blockers = _Blockers(points, triangles)
+        half = directions[: len(directions) // 2]
+        front, back = zip(*mapped(lambda towards: blockers.maps(towards, resolution), half), strict=True)
+        return cls(directions=directions, maps=front + back)
+
+    def seen(self, points: FloatArray, normals: FloatArray, two_sided: BoolArray) -> Sky:
+        """What points (n, 3) with unit normals see of the sky.
+
+        :param two_sided: (n,) whether to look at what the backs of the points see too; else nothing
+        """
+        seen = np.zeros((len(points), len(self.directions)), np.float16)
+
+        def look(number: int) -> None:
+            cosine = normals @ self.directions[number]
+            facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
+            outward = normals.take(facing, axis=0) * np.sign(cosine.take(facing))[:, None]
+            lit = self.maps[number].lit(points.take(facing, axis=0), outward) if self.maps else 1.0
+            seen[facing, number] = lit
+
+        mapped(look, range(len(self.directions)))
+        return Sky(directions=self.directions, seen=seen)
 
 
 def visible_sky(
     points: FloatArray, normals: FloatArray, triangles: IntArray, two_sided: BoolArray, resolution: int
 ) -> Sky:
-    """What points (n, 3) with unit normals see of the sky past triangles (t, 3).
-
-    :param two_sided: (n,) whether to look at what the backs of the points see too; else nothing
-    :param resolution: pixels a side of the map that each direction has
-    """
-    directions = sphere_directions(AMBIENT_DIRECTIONS)
-    seen = np.zeros((len(points), len(directions)), np.float16)
-
-    def look(number: int) -> None:
-        sides = (number, number + len(directions) // 2)
-        maps = depth_maps(points, triangles, directions[number], resolution) if len(triangles) else (None, None)
-        for side, light in zip(sides, maps, strict=True):
-            cosine = normals @ directions[side]
-            facing = np.flatnonzero(np.where(two_sided, np.abs(cosine), cosine) > _FACING)
-            outward = normals.take(facing, axis=0) * np.sign(cosine.take(facing))[:, None]
-            seen[facing, side] = 1.0 if light is None else light.lit(points.take(facing, axis=0), outward)
-
-    mapped(look, range(len(directions) // 2))
-    return Sky(directions=directions, seen=seen)
+    """What points (n, 3) with unit normals see of the sky past triangles (t, 3), as `SkyMaps` has it."""
+    return SkyMaps.of(points, triangles, resolution).seen(points, normals, two_sided)
 
 
 def ambient_occlusion(points: FloatArray, normals: FloatArray, triangles: IntArray) -> FloatArray:

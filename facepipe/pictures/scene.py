@@ -18,7 +18,7 @@ from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
 from facepipe.pictures.camera import y_up
-from facepipe.pictures.occlusion import SKY_RESOLUTION, Sky, visible_sky
+from facepipe.pictures.occlusion import SKY_RESOLUTION, Sky, SkyMaps
 
 CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2, 3), "a": slice(3, 4)}
 
@@ -226,12 +226,21 @@ class Scene:
         return mean
 
     @cached_property
+    def sky_maps(self) -> SkyMaps:
+        """What stands before each part of the sky; the same for all views."""
+        resolution = min(max(self.size // 3, SKY_RESOLUTION // 2), SKY_RESOLUTION)
+        return SkyMaps.of(self.points, self.occluders, resolution)
+
+    @cached_property
     def sky(self) -> Sky:
-        """What each point sees of the sky; the same for all views."""
+        """What each point sees of the sky."""
+        return self.sky_of(np.arange(len(self.points)))
+
+    def sky_of(self, points: IntArray) -> Sky:
+        """What some points see of the sky."""
         two_sided = np.zeros(len(self.points), bool)
         two_sided[self.triangles[self.double_sided]] = True
-        resolution = min(max(self.size // 3, SKY_RESOLUTION // 2), SKY_RESOLUTION)
-        return visible_sky(self.points, self.normals, self.occluders, two_sided, resolution)
+        return self.sky_maps.seen(self.points[points], self.normals[points], two_sided[points])
 
     @cached_property
     def facets(self) -> FloatArray:

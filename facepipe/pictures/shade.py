@@ -16,7 +16,7 @@ from facepipe.geometry.vectors import cross_columns, dot_columns
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.lighting import EVEN, PORTRAIT, Lit, PhotoLights, Portrait, Samples, Studio
-from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
+from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, Sky, depth_map
 from facepipe.pictures.overlay import HeatMap
 from facepipe.pictures.scene import Places, Scene
 
@@ -415,16 +415,35 @@ class Shader:
         return Materials(self.scene, self.camera, self.weights)
 
     @cached_property
+    def used(self) -> IntArray:
+        """Points whose values are interpolated; `prepare` knows which of all."""
+        return np.arange(len(self.scene.points))
+
+    @cached_property
+    def sky(self) -> Sky:
+        """What the points that are used see of the sky."""
+        return self.scene.sky_of(self.used)
+
+    @cached_property
     def point_values(self) -> Float32Array:
-        """(n, 6 + c + k) what is interpolated: camera position, normal, light on the side of the normal, `look_values`."""
-        position, turned = self.camera.to_camera(self.scene.points), self.scene.normals @ self.camera.axes.T
-        ahead = self.studio.carried(self.scene.sky, self.scene.normals, self.camera.axes)
-        return np.column_stack([position, turned, ahead, self.look_values]).astype(np.float32)
+        """(n, 6 + c + k) what is interpolated: camera position, normal, light on the side of the normal, `look_values`.
+
+        0 at points that are not used, like `behind`: in a picture of a head three of four are hidden.
+        """
+        normals = self.scene.normals[self.used]
+        position, turned = self.camera.to_camera(self.scene.points[self.used]), normals @ self.camera.axes.T
+        ahead = self.studio.carried(self.sky, normals, self.camera.axes)
+        return self._of_all([position, turned, ahead, self.look_values[self.used]])
 
     @cached_property
     def behind(self) -> Float32Array:
         """(n, c) light on the other side."""
-        return self.studio.carried(self.scene.sky, -self.scene.normals, self.camera.axes).astype(np.float32)
+        return self._of_all([self.studio.carried(self.sky, -self.scene.normals[self.used], self.camera.axes)])
+
+    def _of_all(self, columns: Sequence[FloatArray]) -> Float32Array:
+        values = np.zeros((len(self.scene.points), sum(one.shape[1] for one in columns)), np.float32)
+        values[self.used] = np.column_stack(columns)
+        return values
 
     @cached_property
     def look_values(self) -> FloatArray:
@@ -454,10 +473,14 @@ class Shader:
 
     def prepare(self, ids: IntArray) -> None:
         """Compute what all samples share, several things at once, before samples in triangles `ids` are shaded."""
+        used = np.zeros(len(self.scene.points), bool)
+        used[self.scene.triangles.take(ids, axis=0)] = True
+        self.__dict__["used"] = np.flatnonzero(used)
         textures = self.materials.textures(np.flatnonzero(np.bincount(self.scene.surface.take(ids))))
         levels = [partial(self.scene.textures.levels, texture) for texture in textures]
-        calls: list[Callable[[], object]] = [lambda: self.point_values, lambda: self.shadow, *levels]
+        calls: list[Callable[[], object]] = [lambda: self.shadow, *levels]
         mapped(lambda call: call(), calls)
+        _ = self.point_values  # several at once in themselves
 
     def shade(
         self,
