@@ -10,7 +10,6 @@ from head_sources import contour_rows
 from labels import pixel_classes
 from scipy.spatial.transform import Rotation
 
-from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.face_crops import TEMPLATE
 from facepipe.heads.asset import asset
 from facepipe.heads.people import Look
@@ -137,5 +136,5 @@ def render(scene: Scene, look: Look, placement: Placement, behind: FloatArray, r
     size = len(behind)
     camera, marks = random_camera(head, placement, size, rng)
     shader = Shader(scene, camera, lights=random_light(look, rng))
-    image = draw(shader, size, from_srgb(behind).astype(np.float32), _SAMPLES, _MM) / 255
+    image = draw(shader, size, behind.astype(np.float32), _SAMPLES, _MM) / 255
     return View(image, pixel_classes(shader, size), marks, placement.present, camera)

@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
-from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.rasterise import Raster, ScreenTriangles, Spans, expand, rasterise, screen_triangles, spans_of
 from facepipe.pictures.lighting import scatter_share
 from facepipe.pictures.shade import Shaded, Shader, chosen, joined
@@ -244,13 +244,13 @@ class Layers:
         found[self.veiled] = self.passed < _FAINT
         return found
 
-    def blend(self, picture: Float32Array, shader: Shader) -> None:
-        """Put the layers over a linear picture (pixels, 3)."""
-        picture[self.veiled] *= self.passed[:, None]
+    def blend(self, picture: Float32Array, shader: Shader, place: IntArray) -> None:
+        """Put the layers over a linear picture (3, k), which has each pixel of the whole at a `place`."""
+        picture[:, place.take(self.veiled)] *= self.passed
         shaded = shader.shade(self.triangle, self.x, self.y, opacity=self.opacity)
-        color = shaded.toned(shader.studio.tone) * self.weight[:, None]
-        for channel in range(3):
-            picture[:, channel] += np.bincount(self.pixel, color[:, channel], minlength=len(picture))
+        own = place.take(self.pixel)
+        for channel, color in zip(picture, shaded.toned(shader.studio.tone).T, strict=True):
+            channel += np.bincount(own, color * self.weight, minlength=len(channel))
         np.minimum(picture, 1.0, out=picture)
 
 
@@ -340,25 +340,32 @@ class Spots:
 def draw(shader: Shader, size: int, background: Float32Array, samples: int, mm: float) -> ByteArray:
     """(size, size, 3) sRGB pixels of the scene.
 
-    :param background: (size, size, 3) linear, which is drawn on
+    :param background: (size, size, 3) sRGB 0..1, which is drawn on
     :param samples: per pixel and direction, of what covers a pixel; light is computed once or a few times in each
     :param mm: millimetres of a unit of the scene
     """
     spots, over = seen(shader, size, samples)
     shader.prepare(spots.triangle if over is None else np.append(spots.triangle, over.triangle))
-    picture = background.reshape(-1, 3)
-    if len(spots.pixel):
+    encoded = (background.reshape(-1, 3) * 255 + 0.5).astype(np.uint8)
+    drawn = np.zeros(size * size, bool)  # others, half of a portrait, are neither decoded nor encoded
+    for pixels in (spots.pixel,) if over is None else (spots.pixel, over.veiled):
+        drawn[pixels] = True
+    at, place = np.flatnonzero(drawn), np.cumsum(drawn) - 1
+    own = place.take(spots.pixel)
+    uncovered = 1 - np.bincount(own, spots.share, len(at))
+    picture = np.zeros((3, len(at)), np.float32)
+    open_to = np.flatnonzero(uncovered)
+    picture[:, open_to] = from_srgb(background.reshape(-1, 3).take(at[open_to], axis=0)).T * uncovered[open_to]
+    if len(own):
         shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
         if shader.studio.soft:
             shaded = _softened(shaded, spots, size, shader.camera.focal, mm)
-        color = shaded.toned(shader.studio.tone) * spots.share[:, None]
-        picture *= 1 - np.bincount(spots.pixel, spots.share, len(picture))[:, None]
-        for channel in range(3):
-            picture[:, channel] += np.bincount(spots.pixel, color[:, channel], len(picture))
+        for channel, color in zip(picture, shaded.toned(shader.studio.tone).T, strict=True):
+            channel += np.bincount(own, color * spots.share, len(at))
     if over is not None:
-        over.blend(picture, shader)
-    encoded = to_srgb(picture.reshape(size, size, 3)) * 255 + 0.5
-    return encoded.astype(np.uint8)
+        over.blend(picture, shader, place)
+    encoded[at] = (to_srgb(picture) * 255 + 0.5).astype(np.uint8).T
+    return encoded.reshape(size, size, 3)
 
 
 def seen(shader: Shader, size: int, samples: int) -> tuple[Spots, Layers | None]:

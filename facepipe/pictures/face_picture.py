@@ -12,7 +12,6 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
-from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts
 from facepipe.pictures import overlay
 from facepipe.pictures.camera import Camera, View, portrait
@@ -109,9 +108,9 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
         middle, corner = np.broadcast_to(np.array(options.background, dtype=np.float32), (2, 3))
         across = (np.arange(options.size, dtype=np.float32) + 0.5) / options.size * 2 - 1
         distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
-        behind = middle + (corner - middle) * (distance**2 * (3 - 2 * distance))[..., None]
-    linear = from_srgb(behind).astype(np.float32)
-    image = Image.fromarray(draw(shader, options.size, linear, options.samples, 1000 * parts.meters_per_unit))
+        outward = distance**2 * (3 - 2 * distance)
+        behind = np.stack([low + (high - low) * outward for low, high in zip(middle, corner, strict=True)], axis=-1)
+    image = Image.fromarray(draw(shader, options.size, behind, options.samples, 1000 * parts.meters_per_unit))
     if options.landmarks is not None:
         draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
     if options.heatmap is not None and options.bar and options.written:

@@ -163,7 +163,7 @@ def test_opengl_draws_heads_as_facepipe_does() -> None:
         camera, _ = scenes.random_camera(head, scenes.Placement(1.0, 0.0, np.zeros(2)), size, rng)
         light = scenes.random_light(who.look, rng)
         drawn = card.draw(model, camera, light, behind).astype(float)
-        expected = draw(Shader(scene, camera, lights=light), size, behind.copy(), 2, 10.0)
+        expected = draw(Shader(scene, camera, lights=light), size, to_srgb(behind).astype(np.float32), 2, 10.0)
         empty = to_srgb(behind) * 255
         assert np.abs(drawn - expected).mean() < 0.1 * np.abs(expected - empty).mean()
     model.release()
