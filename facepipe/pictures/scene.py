@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import AnyArray, BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.images import open_image, pixels
+from facepipe.core.images import decoding, open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.geometry.vectors import transformed
@@ -23,6 +23,7 @@ from facepipe.pictures.occlusion import SKY_RESOLUTION, Sky, SkyMaps
 CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2, 3), "a": slice(3, 4)}
 
 
+_PLAIN = ("L", "LA", "RGB", "RGBA")  # modes whose channels are halved as those of RGBA are
 _STEP = np.float32(1 / 255)
 _SRGB: Float32Array = from_srgb(np.arange(256) / 255.0).astype(np.float32)
 _DENSE = 0.4  # opacity from which a piece of a card hides the light like a solid one
@@ -35,10 +36,42 @@ def decode(texture: Texture, largest: int) -> ByteArray:
 
     :raises InputError: the bytes are not an image that can be read
     """
-    where = f"texture {texture.name}"
-    image = open_image(texture.image(), where)
-    image.draft(None, (largest, largest))  # a JPEG is decoded at a half or less where that is enough
-    return pixels(image, "RGBA", where, max(1, max(image.size) // max(largest, 1)))
+    return Levels(texture, largest)[0]
+
+
+class Levels:
+    """A decoded texture, and halved again and again, down to one pixel a side: arrays (h, w, 4), top row first."""
+
+    def __init__(self, texture: Texture, largest: int) -> None:
+        """As `decode`."""
+        from PIL import Image
+
+        where = f"texture {texture.name}"
+        image = open_image(texture.image(), where)
+        image.draft(None, (largest, largest))  # a JPEG is decoded at a half or less where that is enough
+        factor = max(1, max(image.size) // max(largest, 1))
+        if factor == 1 and image.mode in _PLAIN and "transparency" not in image.info:
+            with decoding(where):
+                image.load()
+        else:
+            image = Image.fromarray(pixels(image, "RGBA", where, factor))
+        self._images = [image]
+        while min(self._images[-1].size) > 1:
+            self._images.append(self._images[-1].reduce(2))
+        self.shapes = tuple((image.height, image.width) for image in self._images)
+        self._arrays: dict[int, ByteArray] = {}
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, number: int) -> ByteArray:
+        """The level, made an array when it is first read: of most textures nobody sees the first, half of their time.
+
+        :raises IndexError: there is none
+        """
+        if number not in self._arrays:
+            self._arrays[number] = np.asarray(self._images[number].convert("RGBA"))
+        return self._arrays[number]
 
 
 class TextureCache:
@@ -46,7 +79,7 @@ class TextureCache:
 
     def __init__(self, largest: int) -> None:
         """:param largest: pixels a side beyond which a texture holds more than the picture can show."""
-        self.levels = lru_cache(maxsize=None)(lambda texture: _halved(decode(texture, largest)))
+        self.levels = lru_cache(maxsize=None)(lambda texture: Levels(texture, largest))
 
     def sample(
         self, source: TextureInput, places: Places, *, color: bool = True
@@ -82,9 +115,9 @@ class Places:
         self._uv, self._footprint = uv, footprint
         self._found: dict[object, Any] = {}
 
-    def texels(self, source: TextureInput, levels: Sequence[ByteArray]) -> tuple[Float32Array, list[_Looked]]:
+    def texels(self, source: TextureInput, levels: Levels) -> tuple[Float32Array, list[_Looked]]:
         """How many texels of a texture a pixel spans (m,), and the texels around the samples, level by level."""
-        wraps, size = (source.wrap_s, source.wrap_t), levels[0].shape[:2]
+        wraps, size = (source.wrap_s, source.wrap_t), levels.shapes[0]
         key = (source.texture, wraps)
         if (size, wraps) not in self._found:
             spanned = (self._footprint * max(size)).astype(np.float32)
@@ -93,7 +126,7 @@ class Places:
             for number in np.flatnonzero(np.bincount(chosen)).tolist():
                 at = np.flatnonzero(chosen == number)
                 u, v = (axis.take(at) for axis in self._uv)
-                around.append((number, at, _around(levels[number].shape[:2], u, v, *wraps)))
+                around.append((number, at, _around(levels.shapes[number], u, v, *wraps)))
             self._found[size, wraps] = spanned, around
         spanned, around = self._found[size, wraps]
         if key not in self._found:
@@ -103,17 +136,6 @@ class Places:
                 looked.append((at, [whole.take(one).view(np.uint8).reshape(-1, 4) for one in places], right, down))
             self._found[key] = looked
         return spanned, self._found[key]
-
-
-def _halved(pixels: ByteArray) -> list[ByteArray]:
-    """An image (h, w, 4) and ever smaller ones, down to one pixel a side."""
-    from PIL import Image
-
-    levels, image = [pixels], Image.fromarray(pixels)
-    while min(image.size) > 1:
-        image = image.reduce(2)
-        levels.append(np.asarray(image))
-    return levels
 
 
 def bilinear(pixels: AnyArray, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat") -> Float32Array:
