@@ -19,8 +19,8 @@ from facepipe.geometry.vectors import cross_columns
 
 KeyArray = npt.NDArray[np.uint64]
 
-ROWS_PER_CHUNK = 32_000  # of which arrays stay in the processor's cache
-FRAGMENTS_PER_CHUNK = 64_000
+ROWS_PER_CHUNK = 16_000  # of which arrays stay in the processor's cache
+FRAGMENTS_PER_CHUNK = 32_000
 NEAR = 1e-6  # smallest homogeneous w that counts as in front of the camera
 _ID_MASK = np.uint64(0xFFFFFFFF)
 
@@ -141,9 +141,11 @@ def rasterise(screen: ScreenTriangles, width: int, height: int, *, rows: tuple[i
     """
     top, bottom = rows or (0, height)
     key = np.zeros((bottom - top, width), np.uint64)
-    for owner, pixel, nearness, span in _fragments(screen, width, top, bottom):
-        names = (_ID_MASK - screen.ids[owner].astype(np.uint64))[span]
-        np.maximum.at(key.reshape(-1), pixel, (nearness.view(np.uint32).astype(np.uint64) << np.uint64(32)) | names)
+    names = _ID_MASK - screen.ids.astype(np.uint64)
+    for owner, count, pixel, nearness in _fragments(screen, width, top, bottom):
+        found = nearness.view(np.uint32).astype(np.uint64) << np.uint64(32)
+        found |= names.take(owner).repeat(count)
+        np.maximum.at(key.reshape(-1), pixel, found)
     return Raster(key=key)
 
 
@@ -155,7 +157,7 @@ def depths(
     Where there is nothing, they are 0 and infinity.
     """
     nearest, farthest = (np.full((height, width), empty, np.float32) for empty in (0, np.inf))
-    for _, pixel, nearness, _ in _fragments(screen, width, 0, height):
+    for _, _, pixel, nearness in _fragments(screen, width, 0, height):
         np.maximum.at(nearest.reshape(-1), pixel, nearness)
         if far:
             np.minimum.at(farthest.reshape(-1), pixel, nearness)
@@ -282,8 +284,8 @@ def _cut(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _fragments(
     screen: ScreenTriangles, width: int, top: int, bottom: int
-) -> Iterator[tuple[IntArray, IntArray, Float32Array, IntArray]]:
-    """Chunks of fragments in a band of rows: owners of spans; flat pixel number, nearness and span of each fragment."""
+) -> Iterator[tuple[IntArray, IntArray, IntArray, Float32Array]]:
+    """Chunks of fragments in a band of rows: owners and pixels of spans; flat number and nearness of each pixel."""
     for spans in spans_of(screen, width, top, bottom):
         for part in _pieces(spans.count, FRAGMENTS_PER_CHUNK):
             owner, row, start, count = (each[part] for each in (spans.owner, spans.row, spans.start, spans.count))
@@ -295,9 +297,14 @@ def _fragments(
             low, high = screen.limits.take(owner, axis=1)
             first, last = (np.minimum(np.maximum(end, low), high) for end in (first, first + slope * far))
             slope = (last - first) / np.maximum(far, 1)
-            span, step = expand(count)
-            nearness = (first.take(span) + slope.take(span) * step.astype(first.dtype)).astype(np.float32)
-            yield owner, ((row - top) * width + start).take(span) + step, nearness, span
+            ends = np.cumsum(count)
+            begun, number = ends - count, np.arange(ends[-1] if len(ends) else 0)
+            step = number.astype(first.dtype)
+            step -= begun.astype(first.dtype).repeat(count)  # exact: a chunk's numbers are
+            step *= slope.repeat(count)
+            step += first.repeat(count)
+            number += ((row - top) * width + start - begun).repeat(count)
+            yield owner, count, number, step.astype(np.float32, copy=False)
 
 
 def _pieces(counts: IntArray, limit: int) -> Iterator[slice]:
