@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from facepipe.pictures.camera import portrait
 from facepipe.pictures.draw import hidden
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
 from facepipe.pictures.overlay import NO_VALUE, STATIONS, ticks
-from facepipe.pictures.scene import bilinear
+from facepipe.pictures.scene import Levels, bilinear
 
 
 def screen_points(xyw: Iterable[Sequence[float]]) -> np.ndarray:
@@ -592,3 +593,16 @@ def test_bilinear_sampling_meets_texels_and_their_means() -> None:
     np.testing.assert_allclose(middle, texels[:2, :2].mean(axis=(0, 1)), atol=1e-6)
     edge = bilinear(texels, np.array([[7.0, 0.5]]), "clamp")[0]
     np.testing.assert_allclose(edge, texels[1:3, -1].mean(axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["L", "LA", "RGB", "RGBA", "P"])
+def test_levels_of_a_texture_are_those_of_its_colours_and_opacity(mode: str) -> None:
+    texels = np.random.default_rng(7).integers(0, 256, (32, 16, 4)).astype(np.uint8)
+    image, file = Image.fromarray(texels).convert(mode), io.BytesIO()
+    image.save(file, "PNG")
+    levels, expected = Levels(Texture(name="t.png", data=file.getvalue()), 64), image.convert("RGBA")
+    assert len(levels) == len(levels.shapes) == 5
+    for number in range(5):
+        np.testing.assert_array_equal(levels[number], np.asarray(expected))
+        assert levels.shapes[number] == (32 >> number, 16 >> number)
+        expected = expected.reduce(2)
