@@ -91,7 +91,7 @@ def _made(folder: Path, seed: int) -> int:
         for name in ("head.glb", "head.onnx"):
             exporter = registry.exporter(path[name])
             report = exporter.export(face, path[name], exporter.Options())
-            bar.write(f"\n{name}: {report.bytes:,} bytes in {report.seconds:.2f} s")
+            print(f"\n{name}: {report.bytes:,} bytes in {report.seconds:.2f} s")
             bar.update()
         errors = 0
         for name in ("head.usdc", "head.glb", "head.onnx"):

@@ -19,7 +19,7 @@ from contextvars import ContextVar
 from typing import Any, Literal
 
 from facepipe.core.errors import printable
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, unwatched
 
 Loudness = Literal["quiet", "usual", "verbose"]
 
@@ -81,12 +81,14 @@ def noted_names(given: str | None, names: Mapping[str, str]) -> None:
 @contextlib.contextmanager
 def progress(label: str, total: int) -> Iterator[Any]:
     """A bar on stderr with ``update()`` per step; shown on a terminal only, and as a line with its time if verbose."""
-    from tqdm import tqdm
-
-    hidden = None if _loudness.get() == "usual" else True
     start = time.perf_counter()
-    with tqdm(total=total, desc=label, file=sys.stderr, disable=hidden, leave=False) as bar:
-        yield bar
+    with contextlib.ExitStack() as shown:
+        if _loudness.get() == "usual" and sys.stderr.isatty():
+            from tqdm import tqdm  # 0.01 s
+
+            yield shown.enter_context(tqdm(total=total, desc=label, file=sys.stderr, leave=False))
+        else:
+            yield shown.enter_context(unwatched(label, total))
     _log.debug("%s: %d step(s) in %.3f s", label, total, time.perf_counter() - start)
 
 

@@ -149,9 +149,7 @@ def rasterise(screen: ScreenTriangles, width: int, height: int, *, rows: tuple[i
     return Raster(key=key)
 
 
-def depths(
-    screen: ScreenTriangles, width: int, height: int, *, far: bool = True
-) -> tuple[Float32Array, Float32Array]:
+def depths(screen: ScreenTriangles, width: int, height: int, *, far: bool = True) -> tuple[Float32Array, Float32Array]:
     """(height, width) nearness of what is nearest at the centre of every pixel, and with `far` of what is farthest.
 
     Where there is nothing, they are 0 and infinity.
@@ -201,7 +199,7 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
 
 
 def edge_planes(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """(9, t) three factors a, b, c for each corner of triangles (t, 3): ``a x + b y + c`` is its barycentric over depth.
+    """(9, t) factors a, b, c for each corner of triangles (t, 3): ``a x + b y + c`` is its barycentric over depth.
 
     Olano and Greer 1997: the inverse of the matrix of homogeneous corners maps a pixel to barycentrics over depth.
 

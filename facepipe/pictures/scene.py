@@ -81,27 +81,25 @@ class TextureCache:
         """:param largest: pixels a side beyond which a texture holds more than the picture can show."""
         self.levels = lru_cache(maxsize=None)(lambda texture: Levels(texture, largest))
 
-    def sample(
-        self, source: TextureInput, places: Places, *, color: bool = True
-    ) -> tuple[Float32Array, Float32Array]:
+    def sample(self, source: TextureInput, places: Places, *, color: bool = True) -> tuple[Float32Array, Float32Array]:
         """Values (3, m) or (1, m) at places, ``texel[channels] * scale + bias``; texels that a pixel spans (m,).
 
         :param color: the texture holds sRGB colours where three channels are asked for, which become linear
         """
         levels, part = self.levels(source.texture), CHANNELS[source.channels]
         # UsdPreviewSurface's automatic colour space: 8-bit RGB is sRGB, single channels are data.
-        table = _SRGB if source.channels == "rgb" and color else None
+        linear = source.channels == "rgb" and color
         texels, parts = places.texels(source, levels)
         values = np.empty((part.stop - part.start, len(texels)), np.float32)
         for at, corners, right, down in parts:
             for row, channel in zip(values, range(4)[part], strict=True):
-                four = (corner[:, channel] for corner in corners)
-                mixed = _mixed([one.astype(np.float32) if table is None else table.take(one) for one in four], right, down)
-                row[at] = mixed if table is not None else mixed * _STEP
-        for row, scale, bias in zip(values, source.scale[part], source.bias[part], strict=True):
-            if (scale, bias) != (1.0, 0.0):
-                row *= np.float32(scale)
-                row += np.float32(bias)
+                bytes_of = (corner[:, channel] for corner in corners)
+                four = [_SRGB.take(one) if linear else one.astype(np.float32) for one in bytes_of]
+                row[at] = _mixed(four, right, down) * (1 if linear else _STEP)
+        for row, channel in zip(values, range(4)[part], strict=True):
+            if (source.scale[channel], source.bias[channel]) != (1.0, 0.0):
+                row *= np.float32(source.scale[channel])
+                row += np.float32(source.bias[channel])
         return values, texels
 
 

@@ -251,14 +251,16 @@ class Materials:
 class _Layout:
     """How one UV set lies on the triangles."""
 
-    corners: Float32Array  # (6, t) u and v of the first corner, of the second, of the third, NaN where the mesh lacks it
+    corners: (
+        Float32Array  # (6, t) u and v of the first corner, of the second, of the third, NaN where the mesh lacks it
+    )
     footprint: Float32Array  # (t,) length in UV space that a pixel spans
     longest: Float32Array  # (t,) the same the way that it spans most, and `_STRETCH` of that at most
     along: Float32Array  # (3, t) unit tangents in camera axes: the way that u grows
     across: Float32Array  # (3, t) and v
 
     def places(self, ids: IntArray, weights: Float32Array, *, whole: bool) -> Places | None:
-        """Where barycentrics (3, m) in triangles `ids` (m,) of one surface lie; None where its mesh lacks the UV set."""
+        """Where barycentrics (3, m) in triangles `ids` (m,) of one surface lie; None where it lacks the UV set."""
         if len(ids) == 0 or np.isnan(self.corners[0, ids[0]]):
             return None
         uv = []
