@@ -18,6 +18,7 @@ MOST_MODES = 4096
 MOST_PARTS = 16
 _LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale
 LARGEST_WEIGHT = 100.0  # standard deviations
+_ROUNDED = 1.002  # square of a half turn's axis in float16, at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +114,7 @@ def _checked_modes(modes: FloatArray, where: object) -> FloatArray:
 
 def _checked_moves(moves: FloatArray, where: object) -> FloatArray:
     values = np.asarray(moves, np.float64)
-    sound = (np.abs(values) <= _LARGEST).all(axis=1) & ((values[:, 3:6] ** 2).sum(axis=1) <= 1.0)
+    sound = (np.abs(values) <= _LARGEST).all(axis=1) & ((values[:, _TURN] ** 2).sum(axis=1) <= _ROUNDED)
     if not sound.all():
         (row, *_) = np.flatnonzero(~sound)
         numbers = " ".join(f"{value:g}" for value in values[row])

@@ -90,6 +90,15 @@ def test_a_head_that_stands_elsewhere_takes_a_placement_not_points() -> None:
     assert skin(off).mean() < 0.04
 
 
+@pytest.mark.parametrize("axis", [(0, 1, 0), (0.6, 0.8, 0), (0.577, 0.577, 0.578)])
+def test_a_head_that_looks_away_is_half_a_turn(axis: tuple[float, float, float]) -> None:
+    points, way = fitted(4), np.array(axis) / np.linalg.norm(axis)
+    turned = points @ (2 * np.outer(way, way) - np.eye(3)).T
+    data, _ = encode_points(head_basis(), turned, within=5.0)
+    off = distances(head_basis().rebuilt(decode_person(data, "person"), "person"), turned)
+    assert skin(off).mean() < 0.04
+
+
 @pytest.mark.parametrize("most", [300, 830, 1300, 4000])
 def test_bytes_are_kept_to_and_used(most: int) -> None:
     points = whole_points(drawn(3))
