@@ -81,15 +81,17 @@ def source(
     metavar: str = "",
     split: Callable[[str], tuple[str | None, str]] | None = None,
     kept: bool = True,
+    before: Any = ...,
 ) -> Any:
     """A field of an action for what it is made of: a path, a tuple of paths, or words that can name a file.
 
     :param flag: it is given as; else it stands alone
     :param kept: in recipes
     :param split: the file that a word names, or None, and what the word says besides
+    :param before: as of `option`
     """
     way = {"flag": flag, "metavar": metavar, "split": split, "kept": kept, "parse": tuple if default == () else None}
-    return _declared(default, {"help": help, "role": "source", **way})
+    return _declared(default, {"help": help, "role": "source", "before": before, **way})
 
 
 def beside(help: str, suffix: str, write: str, *, holds: str = "", instead: bool = False) -> Any:

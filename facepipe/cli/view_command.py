@@ -13,6 +13,7 @@ examples:
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,9 +42,10 @@ def run(arguments: argparse.Namespace) -> int:
     faces = [arguments.face, *([arguments.other] if arguments.other else [])]
     try:
         options = options_from(arguments, host.Options)
-        with progress("view", 1) as bar, host.view(faces, options, arguments.onnx) as page:
-            bar.update()
-            bar.close()
+        with ExitStack() as serving:
+            with progress("view", 1) as bar:
+                page = serving.enter_context(host.view(faces, options, arguments.onnx))
+                bar.update()
             print(f"{page.url}  (Ctrl-C ends)", flush=True)
             if not arguments.no_browser:
                 _open(page.url)

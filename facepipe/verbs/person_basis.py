@@ -13,7 +13,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.point_levels import PointLevels
-from facepipe.heads.asset import asset
+from facepipe.heads.asset import arrays, asset, unpacked
 from facepipe.importers import read_face
 from facepipe.parts import FaceParts
 from facepipe.payload.person import DIGEST, PersonContent
@@ -23,7 +23,7 @@ from facepipe.verbs.whole_faces import Topology, in_order, whole_points
 
 _CM = 10.0  # millimetres
 _MOST = 1e5  # millimetres from the origin: beyond it whole numbers of `PointLevels` don't hold squares
-_MOUTH = slice(11248, 13294)  # points of the built-in head: the mouth's inside, which modes don't fit
+MOUTH = slice(11248, 13294)  # points of the built-in head: the mouth's inside, which modes don't fit
 _CARRIED = ("Teeth", "GumsAndTongue")  # by one placement, after modes
 _BALLS = ("EyeballLeft", "EyeballRight")  # the mean's, moved
 
@@ -187,8 +187,8 @@ def head_basis() -> Basis:
         name="the built-in head",
         topology=topology,
         mean=_CM * head.points,
-        modes=np.float32(_CM) * head.modes,
-        fitted=np.setdiff1d(skin, np.arange(_MOUTH.start, _MOUTH.stop)),
+        modes=np.float32(_CM) * np.concatenate([head.modes, unpacked(arrays("person_modes")["modes"])]),
+        fitted=np.setdiff1d(skin, np.arange(MOUTH.start, MOUTH.stop)),
         rigid=(
             RigidPart(rows=_rows(parts[name].points for name in _CARRIED), with_modes=True),
             *(RigidPart(rows=_rows([parts[name].points]), with_modes=False) for name in _BALLS),

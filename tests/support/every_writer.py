@@ -58,6 +58,8 @@ database remove more.fpdb third -o fewer.fpdb
 fit-bones head.usda --target mix.usda -o bones.usda --coefficients bones.fpb --heatmap bones.png --max-iterations 4
 apply-bones head.usda bones.fpb -o applied.usda
 apply-bones head.usda bones.fpb -o applied.npz
+person mix.usda -o mix.fpb --bytes 1300
+apply-bones head.usda mix.fpb -o mixed.usda
 sliders head.usda --set noseWidth=0.8 -o person.usda
 cook person.usda --force
 sliders head.usda --from-shapes jaw*,mouthSmile* -o own.usda --replace --residual

@@ -420,7 +420,7 @@ def test_the_result_is_a_layer_with_a_recipe_or_standalone(tiny: Path, tmp_path:
         assert (recipe.verb, recipe.sources, recipe.options) == (
             "apply-bones",
             ("./tiny.usda", "./pose.fpb"),
-            {"face": "./tiny.usda", "coefficients": "./pose.fpb", "name": None, "clamp": False, "database": None},
+            {"face": "./tiny.usda", "coefficients": "./pose.fpb", "name": None, "clamp": False},
         )
     assert exit_code("apply-bones", tiny, tmp_path / "pose.fpb", "-o", tmp_path / "twice.usda") == 0
     assert (tmp_path / "twice.usda").read_bytes() == (tmp_path / "over.usda").read_bytes()

@@ -54,11 +54,11 @@ def drawn(seed: int) -> FaceParts:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_photos_person_is_251_bytes(seed: int) -> None:
+def test_a_photos_person_is_271_bytes(seed: int) -> None:
     points = fitted(seed)
     data, layers = encode_points(head_basis(), points, within=5.0)
     off = distances(layers[-1].points, points)
-    assert len(data) == 251
+    assert len(data) == 271
     assert skin(off).mean() < 0.03
     assert skin(off).max() < 1.0
     balls = np.concatenate([off[asset().parts[name].points] for name in ("EyeballLeft", "EyeballRight")])
@@ -86,7 +86,7 @@ def test_a_head_that_stands_elsewhere_takes_a_placement_not_points() -> None:
     data, layers = encode_points(head_basis(), moved, within=5.0)
     assert [layer.name for layer in layers] == ["placement", "modes", "parts"]
     off = distances(layers[-1].points, moved)
-    assert len(data) < 310
+    assert len(data) < 330
     assert skin(off).mean() < 0.04
 
 
@@ -99,12 +99,12 @@ def test_a_head_that_looks_away_is_half_a_turn(axis: tuple[float, float, float])
     assert skin(off).mean() < 0.04
 
 
-@pytest.mark.parametrize("most", [300, 830, 1300, 4000])
+@pytest.mark.parametrize("most", [330, 830, 1300, 4000])
 def test_bytes_are_kept_to_and_used(most: int) -> None:
     points = whole_points(drawn(3))
     warped = points + 2 * np.sin(points / 25)[:, [1, 2, 0]]
     data, layers = encode_points(head_basis(), warped, most=most)
-    assert 0.9 * most < len(data) <= most or (most == 300 and len(data) <= most)
+    assert 0.9 * most < len(data) <= most or (most == 330 and len(data) <= most)
     means = [distances(layer.points, warped).mean() for layer in layers]
     assert means == sorted(means, reverse=True)
 
@@ -255,7 +255,7 @@ _SIZE = 8  # of the header
         (pack([Section(BASIS, bytes(8)), Section(3, struct.pack("<7f", 0, 0, 0, 0, 0, 0, 9))]), "placement 0"),
         (pack([Section(BASIS, bytes(8)), Section(4, bytes(8)), Section(5, bytes(14))]), "with turns and without"),
         (pack([Section(BASIS, bytes(8))]), "another basis (0000000000000000)"),
-        (content(modes=np.zeros(101, np.float16)), "101 modes, expected at most the 100"),
+        (content(modes=np.zeros(111, np.float16)), "111 modes, expected at most the 110"),
         (content(parts=np.zeros((2, 7), np.float16)), "2 parts, expected the 3 of its basis or none"),
         (content(points=b"abc"), "-> points: 3 bytes, expected at least 5"),
     ],
