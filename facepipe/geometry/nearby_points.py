@@ -25,9 +25,10 @@ class NearbyPoints:
 
         :param least: what distances are longer than they are: a point on one of the surface's would divide by 0
         """
-        apart, near = cKDTree(surface).query(points, k=min(_NEAR, len(surface)))
-        shares = 1 / (apart.reshape(len(points), -1) + least)
-        return cls(rows=near.reshape(len(points), -1), shares=shares / shares.sum(axis=1, keepdims=True))
+        each = range(1, min(_NEAR, len(surface)) + 1)
+        apart, near = cKDTree(surface).query(points, k=list(each))
+        shares = 1 / (apart + least)
+        return cls(rows=near, shares=shares / shares.sum(axis=1, keepdims=True))
 
     def carried(self, moves: FloatArray) -> FloatArray:
         """(..., m, 3) moves of the points where the surface's are (..., n, 3)."""
