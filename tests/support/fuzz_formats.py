@@ -407,12 +407,19 @@ def damage_rebuilt(rng: Rng, part: str) -> list[Line]:
     return [["rebuild", "anna.toml", "-o", "out.usda", "--force"]]
 
 
-# ---- payloads of bones
+# ---- payloads of bones, of persons
 
 
 def put_payload() -> None:
     put_face()
     tiny_payload(Path("pose.fpb"), frames=2)
+
+
+def put_person() -> None:
+    """Against the face itself, which has no modes: points."""
+    put_face()
+    save_parts(made(1), Path("other.usda"))
+    assert main(["person", "other.usda", "--template", "face.usda", "--within", "0.2", "-o", "pose.fpb"]) == 0
 
 
 def damaged_payload(rng: Rng, data: bytes) -> bytes:
@@ -1112,7 +1119,7 @@ FORMATS: dict[str, Format] = {
     ),
     "rebuild stages": Format({"project": put_rebuilt}, damage_rebuilt, writes=("out", "work"), keeps=("work",)),
     "payloads": Format(
-        {"payload": put_payload},
+        {"payload": put_payload, "person": put_person},
         one_of(
             [
                 ["apply-bones", "face.usda", "--info", "pose.fpb"],
