@@ -51,6 +51,8 @@ from facepipe.scanning.transfer.transfer import TransferReport
 from facepipe.stage import Face
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.blend.graph import mix
+from facepipe.verbs.person_basis import head_basis
+from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.whole_faces import whole_face, whole_parts
 
 HERE = Path(__file__).resolve().parent
@@ -157,6 +159,28 @@ def blend(folder: Path) -> Image.Image:
         ("facepipe blend", picture(first, result.points, seen)),
     ]
     return contact_sheet(drawn, columns=4)
+
+
+@of_docs
+def person_bytes(folder: Path) -> Image.Image:
+    """A blend by region as payloads of more and more bytes make it of the average head, and how far off they are."""
+    head, sources = make(0, textures=1024), [bare(make(seed, textures=1024)) for seed in (10, 5)]
+    session = BlendSession([Face.from_parts(one) for one in sources], BlendOptions())
+    others = dict.fromkeys(("eyes", "mouth", "cheek"), (0.0, 1.0))
+    basis, size = head_basis(), 300
+    blended = 10 * session.neutral(Weights(regions=others, default=(1.0, 0.0))).points[: len(basis.mean)]
+    body = basis.known(head, "head")
+    seen = close(Face.from_parts(whole_parts(body, blended)), size, "three-quarter")
+    drawn, heats = [("blend", picture(whole_parts(body, blended), None, seen))], []
+    for most in (310, 830, 1300, 10_000):
+        data, layers = encode_points(basis, blended, most=most)
+        points, off = layers[-1].points, np.linalg.norm(layers[-1].points - blended, axis=1)
+        parts = whole_parts(body, points)
+        drawn.append((f"{len(data):,} bytes", picture(parts, None, seen)))
+        heat = replace(seen, heatmap=HeatMap(values=off, label="distance", range=(0.0, 2.0)))
+        heats.append((f"mean {off[basis.fitted].mean():.2f} mm", picture(parts, None, heat)))
+    blank = Image.new("RGB", (size, size), "white")
+    return contact_sheet([*drawn, ("", blank), *heats], columns=5)
 
 
 @of_docs

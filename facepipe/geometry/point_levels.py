@@ -235,7 +235,8 @@ def _shares(places: IntArray, rows: IntArray, neighbours: IntArray) -> FloatArra
     terms = np.concatenate([np.ones((*squares.shape, 1)), away / np.sqrt(farthest)[:, :, None]], axis=2)
     weighted = terms * weights[:, :, None]
     normal = np.swapaxes(terms, 1, 2) @ weighted + np.diag([0.0] + 6 * [_RIDGE])
-    first = np.linalg.solve(normal, np.eye(7)[:, :1])  # (m, 7, 1): the fit at the point is its constant
+    constant = np.broadcast_to(np.eye(7)[:, :1], (len(normal), 7, 1))  # the fit at the point itself
+    first = np.linalg.solve(normal, constant)
     return np.asarray((weighted @ first)[:, :, 0])
 
 
