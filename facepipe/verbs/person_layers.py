@@ -18,7 +18,7 @@ _WORTH = 0.8  # of what modes leave, below which the placement of the whole is w
 _LARGEST_OF_STEP = 0.92  # of a step: how far off a point is at most, 0.53 on each axis
 _TURNED = 2e-3  # of a quaternion: a part of 12 mm is off by 0.05 mm without its turn
 _FINEST, _COARSEST = 0.01, 100.0  # millimetres of a step
-_HALVINGS = 10
+_FIRST, _TRIES, _FULL = 1.0, 10, 0.985  # millimetres; of each coarse level; of the bytes that are there, which will do
 _UNSEEN = 0.3  # how much it matters where points are that modes are not fitted to, the mouth's inside: half the bytes
 _LARGEST = 0.02  # of the farthest point counts beside the mean: finest levels are sent once there is room for them
 _POINTS_A_BYTE = 1.5  # of the finest level that is sent, about
@@ -141,16 +141,20 @@ def _within_bytes(basis: Basis, off: FloatArray, most: int) -> bytes:
         apart = np.linalg.norm(left, axis=1)
         return float(apart @ weights + _LARGEST * apart[care == 1.0].max(initial=0.0))
 
-    best, nearest = b"", score(off)
+    best, nearest, step = b"", score(off), _FIRST
     for coarse in range(max(middle - 1, 0), min(middle + 2, len(sizes))):
         low, high = _FINEST, _COARSEST
-        for _ in range(_HALVINGS):
-            step = float(np.sqrt(low * high))
+        for _ in range(_TRIES):
             data, got = basis.levels.encode(off, step, coarse, care)
             if len(data) > most:
                 low = step
-                continue
-            high, near = step, score(got - off)
-            if near < nearest:
-                best, nearest = data, near
+            else:
+                high, near = step, score(got - off)
+                if near < nearest:
+                    best, nearest = data, near
+                if len(data) > _FULL * most:
+                    break
+            # bytes go about as steps go back; the middle of what is left where that leads out of it
+            step *= len(data) / most
+            step = step if low < step < high else float(np.sqrt(low * high))
     return best
