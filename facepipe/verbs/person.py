@@ -31,7 +31,7 @@ _WITHIN_MM = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layer(Report):
+class Layer:
     """What a layer of a payload adds."""
 
     name: str
@@ -79,9 +79,14 @@ class WritePerson(FileAction[PersonReport]):
         "faces of its topology whose modes to use (.fpdb)", default=None, flag="--database", metavar="FPDB"
     )
     within: float | None = option(
-        None, f"how far off a point may be at most (default {_WITHIN_MM:g} without --bytes)", 1e-3, 1e3, "mm"
+        None,
+        f"how far off a point may be at most (default {_WITHIN_MM:g} without --bytes)",
+        1e-3,
+        1e3,
+        "mm",
+        metavar="MM",
     )
-    most: int | None = option(None, "size of the payload at most", 64, 1 << 24, "bytes", flag="--bytes")
+    most: int | None = option(None, "size of the payload at most", 64, 1 << 24, "bytes", flag="--bytes", metavar="N")
 
     def check(self) -> None:
         super().check()
