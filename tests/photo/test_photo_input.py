@@ -300,4 +300,8 @@ KINDS["tiff"] = oriented(picture(64, 64), 6, "TIFF", icc_profile=linear_profile(
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
     file = tmp_path / "photo"
     file.write_bytes(data)
-    refused(lambda: read(tmp_path, data), file)
+    photos: list[Photo] = []
+    error = refused(lambda: photos.append(read(tmp_path, data)), file)
+    assert (error is None) == bool(photos)
+    for photo in photos:
+        assert 0.0 <= photo.pixels.min() <= photo.pixels.max() <= 1.0

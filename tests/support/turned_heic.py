@@ -7,7 +7,7 @@ import sys
 
 def main() -> None:
     """Write 128 x 96 pixels, red to the right and green downward, with a quarter turn."""
-    import pillow_heif  # type: ignore[import-not-found]
+    import pillow_heif
     from PIL import Image
 
     pillow_heif.register_heif_opener()
