@@ -51,6 +51,7 @@ from facepipe.stage.face import Face as Face
 from facepipe.stage.face import open_face as open
 from facepipe.verbs.animate.face_clip import AnimateReport
 from facepipe.verbs.apply_bones import ApplyBonesReport
+from facepipe.verbs.basis import BasisReport
 from facepipe.verbs.blend.quality import BlendReport
 from facepipe.verbs.blend.weights import Weights
 from facepipe.verbs.eval import EvalReport
@@ -133,7 +134,7 @@ def apply_bones(
 
     :param face: face stage
     :param coefficients: bone coefficients, or a person: .fpb
-    :param database: faces whose modes a person is made of (.fpdb)
+    :param database: faces whose modes a person is made of: .fpdb, or their .fpbasis
     :param clamp: bring coefficients into the bone limits of FACE
     :param name: name of the animation (default: the file's)
     :param out: stage to write, or a file that an exporter writes
@@ -191,6 +192,22 @@ def bake_photo(
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there
     :param flatten: write a standalone file
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def basis(
+    *,
+    out: str | os.PathLike[str],
+    overwrite: bool = False,
+    template: str | os.PathLike[str] | None = None,
+    database: str | os.PathLike[str] | None = None,
+) -> BasisReport:
+    """Write what devices need to rebuild persons: `facepipe basis`.
+
+    :param template: face stage that others are sent as points of
+    :param database: faces whose modes to use (.fpdb)
+    :param out: basis to write: .fpbasis
+    :param overwrite: put it in place of a file that is there
     :raises FacepipeError: what can't be read, done or written; then nothing is written
     """
 
@@ -810,7 +827,7 @@ def person(
 
     :param face: face stage
     :param template: face of the same topology that devices have, where there are no modes
-    :param database: faces of its topology whose modes to use (.fpdb)
+    :param database: faces of its topology whose modes to use: .fpdb, or their .fpbasis
     :param within: how far off a point may be at most (default 1 without --bytes) [mm]
     :param most: size of the payload at most [bytes]
     :param out: payload to write: .fpb

@@ -13,14 +13,16 @@ import math
 import struct
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals
+from facepipe.payload.basis import WHOLE, Level
 from facepipe.payload.range_coder import BitReader, BitWriter
 
 _GRID = 1000  # places in a millimetre that count: distances are whole numbers, so that every reader ranks them alike
@@ -29,6 +31,7 @@ _CROWD = 100  # neighbours of a point, on average
 _COARSEST = 32  # points that no others predict, at most
 _NEIGHBOURS = 6
 _RIDGE = 0.02  # of slopes against distances, as shares of the farthest neighbour's: few neighbours say little of them
+_MOST_OF_SHARES = 127  # of an int8
 _NARROW = 3.0  # exponent of the weight that the farthest neighbour loses
 _FINER = 1.15  # times finer steps at each coarser level, on which more points depend
 _DEAD = 0.53  # of a step: less is rounded to none, which costs little
@@ -47,39 +50,29 @@ _CONTEXTS = _STEPS + _KINDS_OF_STEPS * _AROUND
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Level:
-    """m points of a level."""
-
-    rows: IntArray  # (m,)
-    neighbours: IntArray  # (m, k) rows of coarser levels, the nearest first
-    shares: FloatArray  # (m, k), in sum 1
-
-
-@dataclass(frozen=True, kw_only=True)
 class PointLevels:
-    """The levels of n points of a surface at rest."""
+    """The levels of some of n points, which `of` makes of a surface at rest. The others have no offsets."""
 
-    points: FloatArray  # (n, 3) millimetres
-    triangles: IntArray  # (t, 3)
+    count: int  # n
+    first: IntArray  # rows of the coarsest level
+    levels: tuple[Level, ...]  # the finer ones after it
 
-    @cached_property
-    def _edge(self) -> float:
-        """Millimetres of an edge, in the middle of them; 1 where there are none."""
-        edges = self.points[self.triangles] - self.points[np.roll(self.triangles, 1, axis=1)]
-        return float(np.median(np.linalg.norm(edges, axis=2))) if len(self.triangles) else 1.0
+    @classmethod
+    def of(cls, points: FloatArray, triangles: IntArray, some: IntArray | None = None) -> Self:
+        """Those of points (n, 3) in millimetres, which triangles (t, 3) join.
 
-    @cached_property
-    def _places(self) -> IntArray:
-        """(n, 6) place and normal on the grid."""
-        normals = point_normals(self.points, self.triangles)
-        both = np.hstack([self.points, _NORMAL * self._edge * normals])
-        return np.asarray(np.rint(_GRID * both), np.int64)
-
-    @cached_property
-    def _levels(self) -> tuple[IntArray, tuple[_Level, ...]]:
-        """Rows of the coarsest level, and the finer ones after it."""
-        places = self._places
-        reach = max(int((_GRID * self._edge) ** 2), 1)  # squared
+        :param some: of these points alone, ascending, and the triangles between them; None: of all
+        """
+        if some is not None:
+            number = np.full(len(points), -1)
+            number[some] = np.arange(len(some))
+            own = number[triangles]
+            made = cls.of(points[some], own[(own >= 0).all(axis=1)])
+            renamed = tuple(Level(some[one.rows], some[one.neighbours], one.shares) for one in made.levels)
+            return cls(count=len(points), first=some[made.first], levels=renamed)
+        edge = _edge(points, triangles)
+        places = _places(points, triangles, edge)
+        reach = max(int((_GRID * edge) ** 2), 1)  # squared
         finer: list[IntArray] = []
         rows = np.arange(len(places))
         while len(rows) > _COARSEST:
@@ -91,9 +84,9 @@ class PointLevels:
         levels, known = [], rows
         for own in finer[::-1]:
             neighbours = known[_nearest(places[known], places[own])]
-            levels.append(_Level(rows=own, neighbours=neighbours, shares=_shares(places, own, neighbours)))
+            levels.append(Level(own, neighbours, _shares(places, own, neighbours)))
             known = np.sort(np.append(known, own))
-        return rows, tuple(levels)
+        return cls(count=len(points), first=rows, levels=tuple(levels))
 
     def encode(
         self, offsets: FloatArray, step: float, coarse: int | None = None, care: FloatArray | None = None
@@ -104,7 +97,7 @@ class PointLevels:
         :param coarse: levels that are sent, the coarsest first; finer ones are predicted. None: all
         :param care: (n,) above 0 to 1, how much it matters where a point is: less has few bytes; None: 1 for all
         """
-        first, levels = self._levels
+        first, levels = self.first, self.levels
         sent = len(levels) if coarse is None else min(coarse, len(levels))
         head = _HEAD.pack(step, sent)
         step = _HEAD.unpack(head)[0]
@@ -128,25 +121,27 @@ class PointLevels:
         from scipy.sparse.linalg import splu
 
         known, shares = self._spread(sent)
-        weighted = shares if care is None else shares.multiply(care[:, None] ** 2).tocsr()
+        every = self.rows
+        weighted = shares if care is None else shares.multiply(care[every, None] ** 2).tocsr()
         wanted = np.zeros_like(offsets)
-        wanted[known] = splu((shares.T @ weighted).tocsc()).solve(weighted.T @ offsets)
+        wanted[known] = splu((shares.T @ weighted).tocsc()).solve(weighted.T @ offsets[every])
         return wanted
 
     def _spread(self, sent: int) -> tuple[IntArray, Any]:
-        """Of the coarsest levels: points (m,), and what all take of their offsets, sparse (n, m)."""
+        """Of the coarsest levels: points (m,), and what all of levels take of their offsets, sparse (n, m)."""
         from scipy.sparse import csr_array, eye_array, vstack
 
         if sent not in self._spreads:
-            first, levels = self._levels
+            first, levels = self.first, self.levels
             known = np.concatenate([first, *(level.rows for level in levels[:sent])])
             order, whole = known, csr_array(eye_array(len(known)))
             for level in levels[sent:]:
-                place = np.empty(len(self.points), np.int64)
+                place = np.empty(self.count, np.int64)
                 place[order] = np.arange(len(order))
                 count, k = level.neighbours.shape
                 ends = np.arange(0, count * k + 1, k)
-                own = csr_array((level.shares.ravel(), place[level.neighbours].ravel(), ends), (count, len(order)))
+                shares = level.shares.ravel() / WHOLE
+                own = csr_array((shares, place[level.neighbours].ravel(), ends), (count, len(order)))
                 whole = vstack([whole, own @ whole], format="csr")
                 order = np.append(order, level.rows)
             self._spreads[sent] = known, whole[np.argsort(order)]
@@ -164,13 +159,13 @@ class PointLevels:
         if len(data) < _HEAD.size:
             raise InputError(where, f"{len(data)} bytes, expected at least {_HEAD.size}")
         step, sent = _HEAD.unpack_from(data)
-        first, levels = self._levels
+        first, levels = self.first, self.levels
         if not 0 < step <= _MOST_OFFSET:
             raise InputError(where, f"steps of {step:g} mm, expected more than 0 and at most {_MOST_OFFSET:g}")
         if sent > len(levels):
             raise InputError(where, f"{sent} levels, expected at most the {len(levels)} of these points")
         reader = BitReader(data[_HEAD.size :], _CONTEXTS, where)
-        got, steps = np.zeros((len(self.points), 3)), np.zeros((len(self.points), 3), np.int64)
+        got, steps = np.zeros((self.count, 3)), np.zeros((self.count, 3), np.int64)
         for number, rows in enumerate((first, *(level.rows for level in levels[:sent]))):
             predicted = np.zeros((len(rows), 3)) if not number else _predicted(levels[number - 1], got)
             own = _read(reader, _around(None if not number else levels[number - 1], steps, len(rows)))
@@ -181,11 +176,27 @@ class PointLevels:
             raise InputError(where, f"offsets above {_MOST_OFFSET:g} mm, expected smaller ones")
         return got
 
+    @cached_property
+    def rows(self) -> IntArray:
+        """Points of all levels, ascending."""
+        return np.sort(np.concatenate([self.first, *(level.rows for level in self.levels)]))
+
     @property
     def sizes(self) -> tuple[int, ...]:
         """Points of each level, the coarsest first."""
-        first, levels = self._levels
-        return (len(first), *(len(level.rows) for level in levels))
+        return (len(self.first), *(len(level.rows) for level in self.levels))
+
+
+def _edge(points: FloatArray, triangles: IntArray) -> float:
+    """Millimetres of an edge, in the middle of them; 1 where there are none."""
+    edges = points[triangles] - points[np.roll(triangles, 1, axis=1)]
+    return float(np.median(np.linalg.norm(edges, axis=2))) if len(triangles) else 1.0
+
+
+def _places(points: FloatArray, triangles: IntArray, edge: float) -> IntArray:
+    """(n, 6) place and normal on the grid."""
+    both = np.hstack([points, _NORMAL * edge * point_normals(points, triangles)])
+    return np.asarray(np.rint(_GRID * both), np.int64)
 
 
 def _apart(places: IntArray, reach: int) -> BoolArray:
@@ -226,8 +237,8 @@ def _nearest(known: IntArray, places: IntArray) -> IntArray:
         asked *= 2
 
 
-def _shares(places: IntArray, rows: IntArray, neighbours: IntArray) -> FloatArray:
-    """(m, k) how much of each neighbour an affine fit to them has at the points themselves."""
+def _shares(places: IntArray, rows: IntArray, neighbours: IntArray) -> npt.NDArray[np.int8]:
+    """(m, k) how much of each neighbour an affine fit to them has at the points themselves, in WHOLE-ths."""
     away = (places[neighbours] - places[rows][:, None]).astype(np.float64)
     squares = (away**2).sum(axis=2)
     farthest = np.maximum(squares[:, -1:], 1.0)
@@ -237,14 +248,18 @@ def _shares(places: IntArray, rows: IntArray, neighbours: IntArray) -> FloatArra
     normal = np.swapaxes(terms, 1, 2) @ weighted + np.diag([0.0] + 6 * [_RIDGE])
     constant = np.broadcast_to(np.eye(7)[:, :1], (len(normal), 7, 1))  # the fit at the point itself
     first = np.linalg.solve(normal, constant)
-    return np.asarray((weighted @ first)[:, :, 0])
+    whole = np.rint(WHOLE * (weighted @ first)[:, :, 0]).astype(np.int64)
+    whole[:, 0] += WHOLE - whole.sum(axis=1)
+    wild = np.abs(whole).max(axis=1) > _MOST_OF_SHARES
+    whole[wild] = np.eye(1, whole.shape[1], dtype=np.int64) * WHOLE  # the nearest one's
+    return np.asarray(whole, np.int8)
 
 
-def _predicted(level: _Level, got: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("mk,mkc->mc", level.shares, got[level.neighbours]))
+def _predicted(level: Level, got: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("mk,mkc->mc", level.shares / WHOLE, got[level.neighbours]))
 
 
-def _around(level: _Level | None, steps: IntArray, count: int) -> list[int]:
+def _around(level: Level | None, steps: IntArray, count: int) -> list[int]:
     """(m,) how much is going on around points: 3 where neighbours are many steps from what predicted them."""
     if level is None:
         return [_AROUND - 1] * count

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
-from facepipe.heads.asset import ATTRIBUTION, Asset, Part, arrays, asset, unpacked
+from facepipe.heads.asset import ATTRIBUTION, IDENTITY_MODES, Asset, Part, arrays, asset, unpacked
 from facepipe.heads.lid_fit import LOOKS, SIDES, SQUINT, TURN, Ends, Eye, Socket
 from facepipe.heads.lip_fit import fit_lips
 from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
@@ -443,7 +443,7 @@ def skeleton(points: FloatArray) -> Skeleton:
 @one_thread()
 def average() -> FaceParts:
     """The bare average head that modes add to, without materials: its lips are apart, where people's meet."""
-    return make_head(np.zeros(asset().packed_modes.shape[1]), closed=False)
+    return make_head(np.zeros(IDENTITY_MODES), closed=False)
 
 
 def modes() -> FloatArray:

@@ -17,12 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.payload.basis import BasisContent, decode_basis
 
 ATTRIBUTION = (
     "Head: ICT-FaceKit, Copyright (c) 2020 USC Institute for Creative Technologies, MIT license. Please cite: Li et "
     "al., Learning Formation of Physically-Based Face Attributes, CVPR 2020. Skin weights: MakeHuman team, CC0 1.0."
 )
 STEP = 0.001  # cm: of packed offsets
+BASIS = "head.fpbasis"
+IDENTITY_MODES = 100  # of the basis's modes: those after them are of what is fitted to a person
+_CM = 10.0  # millimetres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +43,8 @@ class Part:
 class Asset:
     """n points, f faces, c face corners, m modes, j joints."""
 
-    points: FloatArray  # (n, 3) the average head
-    packed_modes: npt.NDArray[np.uint8]  # (2, m, 3, n)
+    basis: BasisContent  # of persons as payloads: the average head, the m identity modes, and some of what is fitted
+    basis_digest: bytes
     shapes: Mapping[str, Mapping[float, npt.NDArray[np.float32]]]  # name -> weight, 1 the last -> (n, 3) offsets there
     parts: Mapping[str, Part]  # by name of the mesh
     counts: IntArray  # (f,)
@@ -60,15 +64,23 @@ class Asset:
     skin_weights: FloatArray  # (n, 4)
 
     @cached_property
+    def points(self) -> FloatArray:
+        """(n, 3) the average head."""
+        return self.basis.mean / _CM
+
+    @cached_property
     def modes(self) -> npt.NDArray[np.float32]:
         """(m, n, 3) offsets of a standard deviation."""
-        return unpacked(self.packed_modes)
+        modes = np.empty((IDENTITY_MODES, len(self.points), 3), np.float32)
+        for steps, offsets in zip(self.basis.modes, modes, strict=False):
+            np.multiply(steps.T, np.float32(STEP), out=offsets)
+        return modes
 
     def person(self, identity: FloatArray) -> FloatArray:
-        """(n, 3) points by (m,) standard deviations of the modes, one after another: all unpacked are 30 MB."""
-        total = np.zeros(self.packed_modes.shape[2:])
-        for weight, low, high in zip(np.asarray(identity, np.float64).tolist(), *self.packed_modes, strict=True):
-            total += weight * _steps(low, high)
+        """(n, 3) points by (m,) standard deviations of the modes, one after another: all as numbers are 30 MB."""
+        total = np.zeros(self.basis.modes.shape[1:])
+        for weight, steps in zip(np.asarray(identity, np.float64).tolist(), self.basis.modes, strict=False):
+            total += weight * steps
         return self.points + STEP * total.T
 
     def place(self, point: int) -> tuple[str, int]:
@@ -108,6 +120,7 @@ def arrays_of(name: str, start: str) -> dict[str, npt.NDArray[Any]]:
 def asset() -> Asset:
     """The head, read when it is first asked for."""
     data = _read("head")  # not kept packed too
+    basis, digest = decode_basis((files("facepipe.heads") / "data" / BASIS).read_bytes(), BASIS, trusted=True)
     names = [str(name) for name in data["shape_names"]]
     shapes: dict[str, dict[float, npt.NDArray[np.float32]]] = {}
     for name, weight, offsets in zip(names, data["shape_weights"], unpacked(data["shapes"]), strict=True):
@@ -116,8 +129,8 @@ def asset() -> Asset:
     ends = np.vstack([[0, 0], data["mesh_ends"]])
     corners = np.append(0, np.cumsum(data["counts"], dtype=np.int64))
     return Asset(
-        points=data["points"].astype(np.float64),
-        packed_modes=_read("modes")["modes"],
+        basis=basis,
+        basis_digest=digest,
         shapes=shapes,
         parts={
             str(name): Part(

@@ -8,12 +8,12 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.payload.basis import DIGEST
 from facepipe.payload.sections import Section, pack, unpack
 
 BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS = 1, 2, 3, 4, 5, 6  # kinds
 _KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS)
 _TURN = slice(3, 6)  # of a placement
-DIGEST = 8  # bytes
 MOST_MODES = 4096
 MOST_PARTS = 16
 _LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale

@@ -34,18 +34,23 @@ def has_sections(data: bytes) -> bool:
 
 
 def pack(sections: Sequence[Section]) -> bytes:
-    """The bytes of sections, whose kinds ascend."""
-    parts = [_HEADER.pack(MAGIC, VERSION, 0)]
-    for kind, data, required in sections:
-        parts += [bytes([kind | _REQUIRED * required]), _packed(len(data)), data]
-    body = b"".join(parts)
+    """The payload of sections, whose kinds ascend."""
+    body = _HEADER.pack(MAGIC, VERSION, 0) + written_sections(sections)
     return body + CRC.pack(zlib.crc32(body))
 
 
-def unpack(data: bytes, where: object) -> tuple[Section, ...]:
-    """The sections of a file.
+def written_sections(sections: Sequence[Section]) -> bytes:
+    """Sections, whose kinds ascend, one after another."""
+    parts: list[bytes] = []
+    for kind, data, required in sections:
+        parts += [bytes([kind | _REQUIRED * required]), _packed(len(data)), data]
+    return b"".join(parts)
 
-    :raises InputError: no payload of this version, a damaged one, too many sections, or kinds that don't ascend
+
+def unpack(data: bytes, where: object) -> tuple[Section, ...]:
+    """The sections of a payload.
+
+    :raises InputError: no payload of this version, a damaged one, or as `read_sections`
     """
     if not has_sections(data):
         raise InputError(where, f"no person, expected a file that begins with FPBC and the version {VERSION}")
@@ -55,8 +60,15 @@ def unpack(data: bytes, where: object) -> tuple[Section, ...]:
     flags = _HEADER.unpack_from(data)[2]
     if flags:
         raise InputError(where, f"flags {flags:#06x}, expected none")
+    return read_sections(data, _HEADER.size, end, where)
+
+
+def read_sections(data: bytes, place: int, end: int, where: object) -> tuple[Section, ...]:
+    """The sections that are between two places.
+
+    :raises InputError: too many, longer than what is there, or kinds that don't ascend
+    """
     sections: list[Section] = []
-    place = _HEADER.size
     while place < end:
         trail, kind = f"{where} -> section {len(sections) + 1}", data[place] & ~_REQUIRED
         if len(sections) == MOST_SECTIONS:

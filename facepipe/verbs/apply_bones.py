@@ -60,7 +60,11 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
     face: Path = source("face stage")
     coefficients: Path = source("bone coefficients, or a person: .fpb")
     database: Path | None = source(
-        "faces whose modes a person is made of (.fpdb)", default=None, flag="--database", metavar="FPDB", before=None
+        "faces whose modes a person is made of: .fpdb, or their .fpbasis",
+        default=None,
+        flag="--database",
+        metavar="FPDB",
+        before=None,
     )
     clamp: bool = option(False, "bring coefficients into the bone limits of FACE")
     name: str | None = option(None, "name of the animation (default: the file's)")

@@ -27,7 +27,7 @@ def basis_for(content: PersonContent, parts: FaceParts, where: object, name: str
     :param name: of the face
     :raises InputError: none of them; or a database that can't be read
     """
-    bases: list[Basis] = [database_basis(database)] if database is not None else []
+    bases: list[Basis] = [database_basis(database, parts, name)] if database is not None else []
     if database is None:
         bases = [head_basis()] if is_head(parts, name) else []
         bases += [template_basis(parts, name)] if not bases or content.basis != bases[0].digest else []

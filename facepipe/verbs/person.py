@@ -76,7 +76,10 @@ class WritePerson(FileAction[PersonReport]):
         "face of the same topology that devices have, where there are no modes", default=None, flag="--template"
     )
     database: Path | None = source(
-        "faces of its topology whose modes to use (.fpdb)", default=None, flag="--database", metavar="FPDB"
+        "faces of its topology whose modes to use: .fpdb, or their .fpbasis",
+        default=None,
+        flag="--database",
+        metavar="FPDB",
     )
     within: float | None = option(
         None,

@@ -2,73 +2,66 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.reading import read_bytes
 from facepipe.geometry.point_levels import PointLevels
-from facepipe.heads.asset import arrays, asset, unpacked
+from facepipe.heads.asset import asset
 from facepipe.importers import read_face
 from facepipe.parts import FaceParts
-from facepipe.payload.person import DIGEST, PersonContent
+from facepipe.payload.basis import MOST_BYTES, BasisContent, MeshRun, RigidRows, basis_body, decode_basis, digest_of
+from facepipe.payload.person import PersonContent
 from facepipe.registry import databases
 from facepipe.rig.trs import rotation_matrices
 from facepipe.verbs.whole_faces import Topology, in_order, whole_points
 
-_CM = 10.0  # millimetres
+BASIS_SUFFIX = ".fpbasis"
+_STEP = 0.01  # millimetres of a database's modes, at least
 _MOST = 1e5  # millimetres from the origin: beyond it whole numbers of `PointLevels` don't hold squares
+_GRID = 1000  # places in a millimetre of the mean, where it is none of facepipe's own
 MOUTH = slice(11248, 13294)  # points of the built-in head: the mouth's inside, which modes don't fit
-_CARRIED = ("Teeth", "GumsAndTongue")  # by one placement, after modes
-_BALLS = ("EyeballLeft", "EyeballRight")  # the mean's, moved
-
-
-@dataclass(frozen=True, kw_only=True)
-class RigidPart:
-    """Points that keep their shape, or that of their modes."""
-
-    rows: IntArray
-    with_modes: bool  # moved after the modes; else it is the mean's
 
 
 @dataclass(frozen=True, kw_only=True)
 class Basis:
     """``points = mean + sum_k w_k modes_k``, then the placement of the whole, those of parts, and offsets of points."""
 
-    name: str
     topology: Topology
-    mean: FloatArray  # (n, 3) whole points, millimetres
-    modes: FloatArray  # (k, n, 3) float32
+    content: BasisContent  # of n points, k modes
     fitted: IntArray  # (m,) points that modes are fitted to
-    rigid: tuple[RigidPart, ...] = ()
+    digest: bytes  # DIGEST bytes that differ between bases
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.content.name
 
     @cached_property
-    def digest(self) -> bytes:
-        """DIGEST bytes that differ between bases."""
-        sha = hashlib.sha256(self.topology.digest.encode())
-        sha.update(self.mean.astype("<f4").tobytes() + self.modes.astype("<f4").tobytes())
-        for part in self.rigid:
-            sha.update(part.rows.astype("<i4").tobytes() + bytes([part.with_modes]))
-        return sha.digest()[:DIGEST]
+    def mean(self) -> FloatArray:
+        """(n, 3) whole points, millimetres."""
+        return self.content.mean
 
     @cached_property
-    def sent(self) -> IntArray:
-        """Points that may have offsets: all but those that stay the mean's."""
-        still = [part.rows for part in self.rigid if not part.with_modes]
-        return np.setdiff1d(np.arange(len(self.mean)), np.concatenate(still) if still else np.zeros(0, np.int64))
+    def modes(self) -> npt.NDArray[np.float32]:
+        """(k, n, 3) millimetres."""
+        return np.ascontiguousarray(self.content.modes.transpose(0, 2, 1)) * np.float32(self.content.step)
+
+    @property
+    def rigid(self) -> tuple[RigidRows, ...]:
+        """Parts that keep their shape, or that of their modes."""
+        return self.content.parts
 
     @cached_property
     def levels(self) -> PointLevels:
-        """Of the points that may have offsets."""
-        number = np.full(len(self.mean), -1)
-        number[self.sent] = np.arange(len(self.sent))
-        triangles = number[self.topology.triangles]
-        return PointLevels(points=self.mean[self.sent], triangles=triangles[(triangles >= 0).all(axis=1)])
+        """Of the points that may have offsets: all but those that stay the mean's."""
+        return PointLevels(count=len(self.mean), first=self.content.coarsest, levels=self.content.levels)
 
     def known(self, parts: FaceParts, where: str) -> FaceParts:
         """The meshes of a face that the basis has, in its order.
@@ -101,7 +94,7 @@ class Basis:
             own = (points if part.with_modes else mean)[part.rows]
             points[part.rows] = placed(placement, own, own.mean(axis=0))
         if content.points:
-            points[self.sent] += self.levels.decode(content.points, f"{where} -> points")
+            points += self.levels.decode(content.points, f"{where} -> points")
         return points
 
     def shaped(self, weights: FloatArray) -> FloatArray:
@@ -119,28 +112,42 @@ def placed(placement: FloatArray, points: FloatArray, about: FloatArray) -> Floa
     return np.asarray(np.exp(numbers[6]) * turned + about + numbers[:3])
 
 
-def basis_of(parts: FaceParts, where: str, *, template: Path | None = None, database: Path | None = None) -> Basis:
+def basis_of(
+    parts: FaceParts | None, where: str, *, template: Path | None = None, database: Path | None = None
+) -> Basis:
     """The basis for a face: that of a database or template, else the built-in head's.
 
+    :param parts: None: no face is to be on it
     :raises InputError: a face of another topology than the built-in head, and nothing else given
     """
     if database is not None:
-        return database_basis(database)
+        return database_basis(database, parts, where)
     if template is not None:
         return template_basis(read_face(template).parts(), str(template))
-    if is_head(parts, where):
+    if parts is None or is_head(parts, where):
         return head_basis()
     raise InputError(where, "not the built-in head, expected --database of its topology, or the --template of devices")
 
 
-def database_basis(path: Path) -> Basis:
-    """That of a database: its modes.
+def database_basis(path: Path, parts: FaceParts | None, where: str) -> Basis:
+    """That of a database, which is its modes, or of a file that `facepipe basis` wrote.
 
-    :raises InputError: no database
+    :param parts: a face of its topology, of which the file has names and a digest alone
+    :raises InputError: no database, no basis
+    :raises TopologyError: a face of another topology
     """
-    faces = databases().load(path)
-    modes = faces.identity.components * faces.identity.deviations[:, None, None]
-    return _plain(path.name, faces.topology, faces.identity.mean, modes)
+    if path.suffix.lower() != BASIS_SUFFIX:
+        faces = databases().load(path)
+        modes = faces.identity.components * faces.identity.deviations[:, None, None]
+        return _plain(path.name, faces.topology, faces.identity.mean, modes)
+    content, digest = decode_basis(read_bytes(path, MOST_BYTES), path)
+    meshes = {mesh.name: mesh for mesh in (() if parts is None else parts.meshes)}
+    names = [mesh.name for mesh in content.meshes]
+    own = FaceParts(name=path.name, meshes=tuple(meshes[name] for name in names if name in meshes))
+    topology = Topology.of(own)
+    if topology.digest != f"sha256:{content.topology.hex()}":
+        raise TopologyError(where, f"not the meshes that {path} is of, expected {', '.join(names)} with its faces")
+    return Basis(topology=topology, content=content, fitted=np.arange(len(content.places)), digest=digest)
 
 
 def template_basis(parts: FaceParts, name: str) -> Basis:
@@ -164,11 +171,24 @@ def is_head(parts: FaceParts, where: str) -> bool:
 
 
 def _plain(name: str, topology: Topology, mean: FloatArray, modes: FloatArray) -> Basis:
-    mean = np.asarray(mean, np.float32).astype(np.float64)
     if not np.abs(mean).max(initial=0.0) <= _MOST:
         raise InputError(name, f"points farther than {_MOST:g} mm from the origin, expected a face")
-    fitted = np.arange(len(mean))
-    return Basis(name=name, topology=topology, mean=mean, modes=modes.astype(np.float32), fitted=fitted)
+    step = np.float32(max(_STEP, np.abs(modes).max(initial=0.0) / np.iinfo(np.int16).max))
+    whole = np.rint(_GRID * np.asarray(mean, np.float64)).astype(np.int64)
+    levels = PointLevels.of(whole / _GRID, topology.triangles)
+    content = BasisContent(
+        name=name,
+        meshes=tuple(map(MeshRun, topology.names, topology.points)),
+        topology=bytes.fromhex(topology.digest.removeprefix("sha256:")),
+        grid=_GRID,
+        places=whole,
+        coarsest=levels.first,
+        levels=levels.levels,
+        step=float(step),
+        modes=np.rint(np.asarray(modes, np.float64) / step).transpose(0, 2, 1).astype(np.int16),
+    )
+    digest = digest_of(basis_body(content))
+    return Basis(topology=topology, content=content, fitted=np.arange(len(mean)), digest=digest)
 
 
 @cache
@@ -183,18 +203,5 @@ def head_basis() -> Basis:
         indices=tuple(np.asarray(head.indices[part.corners] - part.points.start, np.int32) for part in parts.values()),
     )
     skin = np.arange(parts["Head"].points.start, parts["Head"].points.stop)
-    return Basis(
-        name="the built-in head",
-        topology=topology,
-        mean=_CM * head.points,
-        modes=np.float32(_CM) * np.concatenate([head.modes, unpacked(arrays("person_modes")["modes"])]),
-        fitted=np.setdiff1d(skin, np.arange(MOUTH.start, MOUTH.stop)),
-        rigid=(
-            RigidPart(rows=_rows(parts[name].points for name in _CARRIED), with_modes=True),
-            *(RigidPart(rows=_rows([parts[name].points]), with_modes=False) for name in _BALLS),
-        ),
-    )
-
-
-def _rows(slices: Iterable[slice]) -> IntArray:
-    return np.concatenate([np.arange(one.start, one.stop) for one in slices])
+    fitted = np.setdiff1d(skin, np.arange(MOUTH.start, MOUTH.stop))
+    return Basis(topology=topology, content=head.basis, fitted=fitted, digest=head.basis_digest)

@@ -57,10 +57,10 @@ def encode_points(
         content = add("parts", replace(content, parts=_parts(basis, content, points)))
     if not layers:
         content = add("basis", content)
-    off = (points - layers[-1].points)[basis.sent]
+    off = points - layers[-1].points
     data = b""
     if within is not None:
-        if np.linalg.norm(off, axis=1).max() > within:
+        if np.linalg.norm(off[basis.levels.rows], axis=1).max() > within:
             data = basis.levels.encode(off, within / _LARGEST_OF_STEP)[0]
     elif most is not None:
         data = _within_bytes(basis, off, most - layers[-1].bytes - 3)
@@ -133,7 +133,7 @@ def _placement(similarity: Similarity, about: FloatArray) -> FloatArray:
 
 def _within_bytes(basis: Basis, off: FloatArray, most: int) -> bytes:
     """Points (n, 3) as near as so many bytes bring them on average; b"" where there is no room for any."""
-    care = np.where(np.isin(basis.sent, basis.fitted), 1.0, _UNSEEN)
+    care = np.where(np.isin(np.arange(len(off)), basis.fitted), 1.0, _UNSEEN)
     sizes, weights = basis.levels.sizes, care / care.sum()
     middle = int(np.searchsorted(np.cumsum(sizes), _POINTS_A_BYTE * most))
 

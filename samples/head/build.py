@@ -25,18 +25,20 @@ import strokes
 import traits
 import wrinkles
 from anatomy import Jaw, Tongue, eye_centre, jaw_of, tongue_of
+from basis import basis
 from lids import Stretch, lids, stretch
 from lips import rolled
 from mirror import evened, mirror_points
 from model import KEPT, Floats, Model, read
-from packing import packed, write_arrays
+from packing import STEP, packed, write_arrays
 from skeleton import Skeleton, skeleton
 from teeth import smaller
 from tongue import tongue_out
 
 from facepipe.geometry.polygons import back_of_border
-from facepipe.heads.asset import unpacked
+from facepipe.heads.asset import BASIS
 from facepipe.importers.ict import LANDMARKS, MATERIALS, REGIONS, head_regions
+from facepipe.payload.basis import encode_basis
 
 ROOT = Path(__file__).parents[2]
 LICENCES = {"ict_facekit/LICENSE": "LICENSE.ICT-FaceKit.txt", "makehuman/LICENSE.ASSETS.md": "LICENSE.MakeHuman.md"}
@@ -60,11 +62,11 @@ def main() -> None:
     regions = head_regions(model.points)
     made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
-    modes = packed(model.modes)
-    write_arrays(out / "modes.npz", {"modes": modes})
+    steps = np.rint(model.modes.transpose(0, 2, 1) / STEP).astype(np.int16)
+    (out / BASIS).write_bytes(encode_basis(basis(model, steps, made)))
     margins = lids(model, mirror)
     write_arrays(out / "lids.npz", margins)
-    found = controls(model, unpacked(modes), stretch(model, made, margins), arguments.data)
+    found = controls(model, np.float32(STEP) * steps.transpose(0, 2, 1), stretch(model, made, margins), arguments.data)
     write_arrays(out / "measures.npz", found)
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
     skin_maps.main(ict, out / "skin_maps.npz")
@@ -91,7 +93,6 @@ def surface(model: Model, regions: dict[str, Floats]) -> Arrays:
     last = {part.mesh: part for part in KEPT}
     regions_of = {part.mesh: part.region for part in reversed(KEPT)}  # Head's first part has none
     return {
-        "points": model.points.astype(np.float32),
         "counts": model.counts.astype(np.uint8),
         "indices": model.indices,
         "uvs": model.uvs.astype(np.float32),

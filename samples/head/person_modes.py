@@ -11,15 +11,17 @@ from the first three, ten more a tenth.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from packing import packed, write_arrays
+from packing import STEP
 
 from facepipe.heads.assembly import with_parts_fitted
-from facepipe.heads.asset import asset
+from facepipe.heads.asset import BASIS, IDENTITY_MODES, asset
 from facepipe.heads.lip_fit import fit_lips
 from facepipe.heads.people import draw
+from facepipe.payload.basis import encode_basis
 from facepipe.verbs.person_basis import MOUTH
 
 COUNT = 10  # the mean change, and components
@@ -46,7 +48,9 @@ def main() -> None:
     modes = np.zeros((COUNT, *head.points.shape))
     modes[:, skin] = [mean, *components]
     print("deviations of the components, cm:", np.round(sizes[:COUNT] / np.sqrt(found[0].size), 5))
-    write_arrays(Path(sys.argv[1]) / "person_modes.npz", {"modes": packed(modes)})
+    steps = np.rint(modes.transpose(0, 2, 1) / STEP).astype(np.int16)
+    with_them = replace(head.basis, modes=np.concatenate([head.basis.modes[:IDENTITY_MODES], steps]))
+    (Path(sys.argv[1]) / BASIS).write_bytes(encode_basis(with_them))
 
 
 if __name__ == "__main__":

@@ -16,18 +16,24 @@ from facepipe.payload.range_coder import BitReader, BitWriter
 
 
 @cache
-def skin() -> PointLevels:
-    """Of the built-in head."""
+def surface() -> tuple[np.ndarray, np.ndarray]:
+    """Points of the built-in head's skin in millimetres, and triangles."""
     head = asset()
     triangles = point_triangles(head.counts, head.indices)
     part = head.parts["Head"].points
-    return PointLevels(points=10 * head.points[part], triangles=triangles[(triangles < part.stop).all(axis=1)])
+    return 10 * head.points[part], triangles[(triangles < part.stop).all(axis=1)]
+
+
+@cache
+def skin() -> PointLevels:
+    """Its levels."""
+    return PointLevels.of(*surface())
 
 
 @cache
 def bumps(width: float = 30.0, size: float = 3.0) -> np.ndarray:
     """(n, 3) smooth offsets in millimetres."""
-    rng, points = np.random.default_rng(1), skin().points
+    rng, points = np.random.default_rng(1), surface()[0]
     centres = points[rng.choice(len(points), 60)]
     squares = ((points[:, None] - centres) ** 2).sum(axis=2)
     offsets = np.exp(-squares / (2 * width**2)) @ rng.standard_normal((60, 3))
@@ -86,8 +92,8 @@ def test_more_bytes_are_nearer_and_coarse_levels_alone_are_smooth() -> None:
 
 
 def test_still_points_take_no_bytes() -> None:
-    assert len(skin().encode(np.zeros_like(skin().points), 0.1)[0]) <= 12
-    one = np.zeros_like(skin().points)
+    assert len(skin().encode(np.zeros_like(surface()[0]), 0.1)[0]) <= 12
+    one = np.zeros_like(surface()[0])
     one[4000] = [0, 3, 0]
     data, got = skin().encode(one, 0.1)
     assert len(data) < 150
@@ -97,7 +103,7 @@ def test_still_points_take_no_bytes() -> None:
 def test_noise_takes_what_noise_is_worth() -> None:
     """Offsets that nothing predicts: within a tenth of the entropy of their steps."""
     rng = np.random.default_rng(3)
-    noise = rng.normal(0, 1, skin().points.shape)
+    noise = rng.normal(0, 1, surface()[0].shape)
     data, _ = skin().encode(noise, 1.0)
     # of a normal variable in steps of its deviation, 2.05 bits; levels add noise of their own, up to twice the square
     assert len(data) < noise.size * 2.6 / 8
@@ -117,7 +123,7 @@ def test_odd_surfaces_work(kind: str) -> None:
     triangles = np.zeros((0, 3), np.int64)
     if kind != "no triangles":
         triangles = np.array([[i, i + 1, (i + 2) % len(points)] for i in range(len(points) - 1)])
-    levels = PointLevels(points=points, triangles=triangles)
+    levels = PointLevels.of(points, triangles)
     offsets = rng.normal(size=points.shape)
     data, got = levels.encode(offsets, 0.1)
     np.testing.assert_array_equal(levels.decode(data, "points"), got)
@@ -131,8 +137,8 @@ def test_levels_are_the_same_whatever_the_order_of_neighbours_in_a_tree() -> Non
     offsets = np.random.default_rng(1).normal(size=points.shape)
     triangles = np.array([[i, i + 1, i + 2] for i in range(398)])
     triangles = np.vstack([triangles, triangles[:, ::-1] + 400])
-    one = PointLevels(points=points, triangles=triangles).encode(offsets, 0.3)[0]
-    far = PointLevels(points=points + 1e-9, triangles=triangles).encode(offsets, 0.3)[0]
+    one = PointLevels.of(points, triangles).encode(offsets, 0.3)[0]
+    far = PointLevels.of(points + 1e-9, triangles).encode(offsets, 0.3)[0]
     assert one == far
 
 

@@ -15,7 +15,8 @@ from import_data import shared
 from PIL import Image
 from places import REPOSITORY, SHARED
 
-from facepipe.heads.asset import STEP, asset
+from facepipe.heads.asset import IDENTITY_MODES, STEP, asset
+from facepipe.payload.basis import decode_basis
 from facepipe.rig.conventions import ARKIT_SHAPES
 
 DATA = REPOSITORY / "facepipe" / "heads" / "data"
@@ -92,8 +93,9 @@ def test_parts_hold_all_points_and_faces_once() -> None:
 
 
 def test_the_head_is_small_without_its_pictures() -> None:
-    whole = ("head", "modes", "person_modes", "lids", "measures")
-    assert sum((DATA / f"{name}.npz").stat().st_size for name in whole) <= 5_500_000
+    whole = ("head.npz", "head.fpbasis", "lids.npz", "measures.npz")
+    assert sum((DATA / name).stat().st_size for name in whole) <= 5_000_000
+    assert (DATA / "head.fpbasis").stat().st_size <= 3_000_000
 
 
 @pytest.mark.slow
@@ -105,15 +107,14 @@ def test_the_script_makes_the_same_files(tmp_path: Path) -> None:
     shared("ict_facekit/ict_facekit.npz"), shared("makehuman/makehuman_head.npz")
     script = REPOSITORY / "samples" / "head" / "build.py"
     subprocess.run([sys.executable, script, "--data", SHARED, "-o", tmp_path], check=True, capture_output=True)
-    # components of people that the finished head draws, by a script of its own: their signs are the processor's
-    others = {"person_modes.npz"}
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DATA.iterdir()} - others
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DATA.iterdir()}
     for path in tmp_path.iterdir():
         made, shipped = contents(path), contents(DATA / path.name)
         assert made.keys() == shipped.keys()
         for name, values in made.items():
             assert (values.dtype, values.shape) == (shipped[name].dtype, shipped[name].shape), (path.name, name)
-            assert (values != shipped[name]).mean() <= (0.01 if path.suffix == ".npz" else 0), (path.name, name)
+            most = 0.01 if path.suffix in (".npz", ".fpbasis") else 0
+            assert (values != shipped[name]).mean() <= most, (path.name, name)
 
 
 def contents(path: Path) -> dict[str, Any]:
@@ -128,6 +129,14 @@ def contents(path: Path) -> dict[str, Any]:
                 places = np.einsum("nk,nkc->nc", shares, asset().points[corners])
                 found[f"{name}_places"] = places.astype(np.float32)
         return found
+    if path.suffix == ".fpbasis":
+        basis = decode_basis(path.read_bytes(), path)[0]
+        rows = [*basis.levels, *basis.joints]
+        tables = {
+            f"{name}{i}": getattr(one, name) for i, one in enumerate(rows) for name in one._fields if name != "path"
+        }
+        # later modes are components of people that the finished head draws: their signs are the processor's
+        return {"places": basis.places, "modes": basis.modes[:IDENTITY_MODES], **tables}
     if path.suffix in (".png", ".jpg"):
         with Image.open(path) as image:
             return {"pixels": np.asarray(image)}

@@ -59,6 +59,7 @@ fit-bones head.usda --target mix.usda -o bones.usda --coefficients bones.fpb --h
 apply-bones head.usda bones.fpb -o applied.usda
 apply-bones head.usda bones.fpb -o applied.npz
 person mix.usda -o mix.fpb --bytes 1300
+basis -o mix.fpbasis --template mix.usda
 apply-bones head.usda mix.fpb -o mixed.usda
 sliders head.usda --set noseWidth=0.8 -o person.usda
 cook person.usda --force

@@ -284,6 +284,7 @@ LINES: dict[str, Line] = {
     "animate": _out("animate", "a.usda", "take.csv", "-o", "out.usda", uses=("a.usda", "take.csv")),
     "apply-bones": _out("apply-bones", "rig.usda", "clip.fpb", "-o", "out.usda", uses=("rig.usda", "clip.fpb")),
     "apply-bones npz": _out("apply-bones", "rig.usda", "clip.fpb", "-o", "out.npz", uses=("rig.usda", "clip.fpb")),
+    "basis": _out("basis", "--template", "a.usda", "-o", "out.fpbasis", uses=("a.usda",)),
     "person": _out("person", "b.usda", "--template", "a.usda", "-o", "out.fpb", uses=("a.usda", "b.usda")),
     "render": _out("render", "a.usda", "--size", "64", "-o", "out.png", uses=("a.usda",)),
     "landmarks": _out("landmarks", "a.usda", "--from", "points.json", "-o", "out.usda", uses=("a.usda", "points.json")),
