@@ -115,12 +115,12 @@ def test_the_command_writes_what_the_package_has(tmp_path: Path) -> None:
 def test_a_studios_own_face_is_a_basis(tmp_path: Path, capsys: Capsys) -> None:
     face, out = tmp_path / "face.usda", tmp_path / "face.fpbasis"
     save_parts(tiny_face(), face)
-    report = facepipe.basis(out, template=face)
+    report = facepipe.basis(out=out, template=face)
     read, digest = decode_basis(out.read_bytes(), out)
     assert (digest.hex(), len(read.places)) == (report.digest, report.points)
     assert not len(read.modes)
-    assert facepipe.person(face, tmp_path / "a.fpb", template=face).digest == report.digest
-    assert facepipe.person(face, tmp_path / "me.fpb", database=out).digest == report.digest
+    assert facepipe.person(face, out=tmp_path / "a.fpb", template=face).digest == report.digest
+    assert facepipe.person(face, out=tmp_path / "me.fpb", database=out).digest == report.digest
     assert (
         main(
             [
