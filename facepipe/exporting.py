@@ -178,11 +178,18 @@ def _made(
     elif rig is not None:
         attached = neural_rigs().attached(face.parts(), rig, neural_rigs().Options(**attach), face.where)
         made = HeldFace(attached.parts)
+    elif getattr(form, "purpose", None) == "persons":
+        from facepipe.heads.holds import held, held_level
+
+        finest = held(face.parts())
+        lower = face.lower_levels() if form.lods else ()
+        made = HeldLevels(finest, tuple(held_level(one, finest) for one in lower))
     if naming is None:
         return made, attached, distilled, None
     renamed = naming(made.parts())
     if getattr(form, "lods", False):
-        lower = tuple(naming(lower_level).parts for lower_level in face.lower_levels())
+        levels = made if isinstance(made, HeldLevels) else face
+        lower = tuple(naming(lower_level).parts for lower_level in levels.lower_levels())
         made = HeldLevels(renamed.parts, lower)
     else:
         made = replace(made, held=renamed.parts) if isinstance(made, HeldFace) else HeldFace(renamed.parts)

@@ -117,6 +117,16 @@ class MaterialFaces:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Holds:
+    """What n points of a mesh lie on: a place on a triangle of another mesh's points each, and the way from there."""
+
+    mesh: str  # of a face
+    corners: IntArray  # (n, 3) its points
+    shares: FloatArray  # (n, 3) in sum 1
+    offsets: FloatArray  # (n, 3) mesh space
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mesh:
     """One polygon mesh of a face."""
 
@@ -139,6 +149,7 @@ class Mesh:
     double_sided: bool = False
     label: str | None = None  # as of a blendshape
     data_label: str | None = None  # the source's name of the geometry, where the node that shows it has another
+    holds: Holds | None = None  # for devices that move that mesh's points; stages do not keep it
 
 
 def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[MaterialFaces, ...]:

@@ -25,6 +25,7 @@ from facepipe_gltf.placement import Placement, Space, place
 Knots = tuple[tuple[float, float], ...]
 _LINEAR: dict[float, Knots] = {1.0: ((0.0, 0.0), (1.0, 1.0))}
 _BLOCK = 1 << 15  # rows
+_HOLDS = ("CORNERS", "SHARES", "OFFSET")
 _SAME = 1e-6  # smaller changes of a unit normal don't show
 
 
@@ -353,6 +354,15 @@ class Baked:
     sculpts: Sequence[Sculpt]
     placement: Placement
     influences: Influences | None  # None: not skinned in the file
+
+    @property
+    def holds(self) -> dict[str, npt.NDArray[np.float32]]:
+        """By attribute, (n, ...) what points lie on: corners, shares of the first two, and metres from there."""
+        own = self.mesh.holds
+        if own is None:
+            return {}
+        values = (own.corners, own.shares[:, :2], self.placement.offsets(own.offsets))
+        return {f"_FACEPIPE_{name}": np.asarray(one, np.float32) for name, one in zip(_HOLDS, values, strict=True)}
 
     def morphs(self) -> Iterator[Morphs]:
         """The offsets of all sculpts, block by block."""

@@ -269,6 +269,8 @@ class _Writer:
                 self.colored.add(mesh.name)
             primitives = writer.write(shown)
             ours: Json = ({"pointCount": len(mesh.points)} if self.options.restorable else {}) | extras(sculpts)
+            if mesh.holds is not None:
+                ours["holds"] = mesh.holds.mesh
             if mesh.landmarks and self.options.restorable:
                 ours["landmarks"] = {
                     scheme: {"points": np.asarray(landmarks.indices).tolist(), "names": list(landmarks.names)}

@@ -84,12 +84,14 @@ class Purpose:
     animations: bool = False
     pictures: Literal["jpeg", "webp"] | None = None  # None: as they are
     size: int = 0  # pixels of a picture's longer side at most, at the finest level
+    points: bool = False  # vertices say which points they are of, or what they lie on
     small: bool = False  # quantised and compressed where the engine reads that
 
 
 PURPOSES: Mapping[str, Purpose] = {
     "game": Purpose(expressions=True, merged=True, pictures="jpeg", size=1024, small=True),
     "web": Purpose(expressions=True, merged=True, pictures="webp", size=1024, small=True),
+    "persons": Purpose(expressions=True, points=True, pictures="jpeg", size=1024, small=True),
     "film": Purpose(animations=True),
 }
 
@@ -157,7 +159,8 @@ class Options:
     purpose: str | None = option(
         None,
         "what is in the file: game and web have one finished person with expressions, few meshes and materials, small "
-        "pictures and numbers as small as --engine reads; film has everything. Options given beside it hold",
+        "pictures and numbers as small as --engine reads; persons has a head that devices put persons of `facepipe "
+        "person` on; film has everything. Options given beside it hold",
         choices=tuple(PURPOSES),
         flag="--for",
     )
@@ -199,6 +202,11 @@ class Options:
     def restorable(self) -> bool:
         """Whether the file holds what `facepipe import gltf` restores the face by."""
         return self.purpose is None or not PURPOSES[self.purpose].small
+
+    @property
+    def with_points(self) -> bool:
+        """Whether vertices say which points they are of."""
+        return self.restorable or (self.purpose is not None and PURPOSES[self.purpose].points)
 
     @property
     def most_influences(self) -> int:

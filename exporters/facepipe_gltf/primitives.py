@@ -73,7 +73,7 @@ class PrimitiveWriter:
     def __init__(self, baked: Baked, options: Options, buffers: Buffers, joint_count: int) -> None:
         self._baked = baked
         self._encoding = Encoding(bool(options.quantize))
-        self._restorable = options.restorable
+        self._restorable, self._with_points = options.restorable, options.with_points
         self._smallest = options.drop_deltas / 1000
         self._buffers = buffers
         self._joint_type = np.uint8 if joint_count <= 1 << 8 else np.uint16
@@ -144,8 +144,10 @@ class PrimitiveWriter:
                 part = slice(4 * i, 4 * i + 4)
                 attributes[f"JOINTS_{i}"] = self._add(Encoded(kept[:, part], False))
                 attributes[f"WEIGHTS_{i}"] = self._add(Encoded(stored.array[:, part], stored.normalized))
-        if self._restorable:
+        if self._with_points:
             attributes["_FACEPIPE_POINT"] = self._add(Encoded(vertices.points.astype(np.float32), False))
+        for name, values in baked.holds.items():
+            attributes[name] = self._add(Encoded(values[vertices.points], False))
         return attributes
 
     def _targets(self, primitives: Sequence[Vertices]) -> list[list[dict[str, Rows]]]:
