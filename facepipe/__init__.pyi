@@ -822,6 +822,9 @@ def person(
     database: str | os.PathLike[str] | None = None,
     within: float | None = None,
     most: int | None = None,
+    look: bool = False,
+    textures: int = 0,
+    coefficients: str | os.PathLike[str] | None = None,
 ) -> PersonReport:
     """Write who a face is as a payload of few bytes: `facepipe person`.
 
@@ -830,6 +833,9 @@ def person(
     :param database: faces of its topology whose modes to use: .fpdb, or their .fpbasis
     :param within: how far off a point may be at most (default 1 without --bytes) [mm]
     :param most: size of the payload at most [bytes]
+    :param look: with how the built-in head looks: skin, hair, eyes
+    :param textures: with pictures of the skin of so many texels a side (512, 1024); 0: none [texels]
+    :param coefficients: bone coefficients to send with the person (.fpb)
     :param out: payload to write: .fpb
     :param overwrite: put it in place of a file that is there
     :raises FacepipeError: what can't be read, done or written; then nothing is written

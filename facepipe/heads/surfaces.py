@@ -43,7 +43,7 @@ FUZZ, FUZZ_ROUGHNESS = (0.08, 0.065, 0.055), 0.4
 TEARS = 0.5  # clear coat, whose 4 % of light (ior 1.5) become the 2.1 % of tears (ior 1.337)
 _YOUNG = 0.75  # how strong the youngest wrinkle
 _STEP = 4  # texels from one point of the head to the next
-_GREY = 0.35  # linear, the mean of the pictures of hairs
+HAIR_GREY = 0.35  # linear, the mean of the pictures of hairs
 _LASHES = np.array([0.012, 0.009, 0.008])
 _LIFTS = 12  # rounds at most; 3 left a lash 0.1 mm in the skin of a corner
 _STILL = 2e-3  # cm: smaller moves are none
@@ -176,7 +176,7 @@ def brow_color(hair: FloatArray, skin: FloatArray, worn: float = 0.0) -> FloatAr
 
 
 def _hair(name: str, picture: str, color: FloatArray) -> Material:
-    image, (red, green, blue) = picture_of(picture), np.minimum(color / _GREY, 1.0).tolist()
+    image, (red, green, blue) = picture_of(picture), np.minimum(color / HAIR_GREY, 1.0).tolist()
     return Material(
         name=name,
         diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,10 +14,12 @@ from facepipe.payload.basis import DIGEST
 from facepipe.payload.sections import Section, pack, unpack
 
 BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS = 1, 2, 3, 4, 5, 6  # kinds
-_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS)
+LOOK, PICTURES, COEFFICIENTS = 9, 10, 11  # which readers may leave out
+_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, LOOK, PICTURES, COEFFICIENTS)
 _TURN = slice(3, 6)  # of a placement
 MOST_MODES = 4096
 MOST_PARTS = 16
+MOST_PICTURES = 16
 _LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale
 LARGEST_WEIGHT = 100.0  # standard deviations
 _ROUNDED = 1.002  # square of a half turn's axis in float16, at most
@@ -34,6 +38,9 @@ class PersonContent:
     placement: FloatArray | None = None  # (7,) float32 of the whole face
     parts: FloatArray = field(default_factory=lambda: np.zeros((0, 7), np.float16))  # (p, 7) of parts that keep shape
     points: bytes = b""  # of `PointLevels`
+    look: bytes = b""  # of the head's, as `facepipe.heads.look_code` has it
+    pictures: tuple[tuple[str, bytes], ...] = ()  # material, and WebP of its colours
+    coefficients: bytes = b""  # a payload of bone coefficients, on top of the person
     skipped: tuple[int, ...] = ()  # kinds of sections that a reader may leave out, and this one has
 
 
@@ -56,6 +63,13 @@ def encode_person(content: PersonContent) -> bytes:
             sections.append(Section(MOVED_PARTS, np.delete(parts, _TURN, axis=1).tobytes()))
     if content.points:
         sections.append(Section(POINTS, content.points))
+    if content.look:
+        sections.append(Section(LOOK, content.look, required=False))
+    if content.pictures:
+        rows = (_text(name) + struct.pack("<I", len(data)) + data for name, data in content.pictures)
+        sections.append(Section(PICTURES, b"".join(rows), required=False))
+    if content.coefficients:
+        sections.append(Section(COEFFICIENTS, content.coefficients, required=False))
     return pack(sections)
 
 
@@ -89,9 +103,37 @@ def decode_person(data: bytes, where: object) -> PersonContent:
         modes=_checked_modes(modes, where),
         placement=_checked_moves(placement, where)[0] if len(placement) else None,
         parts=_checked_moves(parts, where),
-        points=found[POINTS].data if POINTS in found else b"",
+        points=_data(found, POINTS),
+        look=_data(found, LOOK),
+        pictures=_pictures(_data(found, PICTURES), f"{where} -> pictures"),
+        coefficients=_data(found, COEFFICIENTS),
         skipped=skipped,
     )
+
+
+def _data(found: Mapping[int, Section], kind: int) -> bytes:
+    return found[kind].data if kind in found else b""
+
+
+def _text(name: str) -> bytes:
+    return bytes([len(name.encode())]) + name.encode()
+
+
+def _pictures(data: bytes, where: str) -> tuple[tuple[str, bytes], ...]:
+    """:raises InputError: rows that don't fit, names that are no text or come twice, or too many"""
+    rows: dict[str, bytes] = {}
+    while data:
+        end = 1 + data[0]
+        try:
+            name = data[1:end].decode()
+            (size,) = struct.unpack_from("<I", data, end)
+        except (UnicodeDecodeError, struct.error):
+            raise InputError(where, "a name or length that is cut or no text, expected one of each picture") from None
+        if size > len(data) - end - 4 or name in rows or len(rows) == MOST_PICTURES:
+            most = f"expected at most {MOST_PICTURES}, each material once"
+            raise InputError(where, f"picture {len(rows) + 1} of {size} bytes, where {len(data)} are left, {most}")
+        rows[name], data = data[end + 4 : end + 4 + size], data[end + 4 + size :]
+    return tuple(rows.items())
 
 
 def _numbers(section: Section | None, kind: str, each: int, most: int, where: str) -> FloatArray:

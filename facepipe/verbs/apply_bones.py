@@ -121,15 +121,47 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
 
         content, basis, points = self.person(face)
         authored, warnings = apply_person(face, points, basis, recipe=recipe)
+        left_out = [*self.left_out_lines(content), *self._dress(face, content)]
+        moved: ApplyBonesReport | None = None
+        if content.coefficients:
+            from facepipe.payload import decode
+
+            where = f"{self.coefficients} -> coefficients"
+            pose = decode(content.coefficients, face.skeleton.joints, where)
+            now = type(face)(face.stage, face.prim)  # with who the person is
+            moved = apply_bones(now, pose, identifier(self.coefficients.stem), recipe=recipe)
         return ApplyBonesReport(
-            animations=(),
-            joints=0,
-            frames=0,
+            animations=() if moved is None else moved.animations,
+            joints=0 if moved is None else moved.joints,
+            frames=0 if moved is None else moved.frames,
             authored=authored,
             basis=basis.name,
             left_out=content.skipped,
-            warnings=(*self.left_out_lines(content), *warnings),
+            beyond_limits=() if moved is None else moved.beyond_limits,
+            warnings=(*left_out, *warnings, *(() if moved is None else moved.warnings)),
         )
+
+    def _dress(self, face: Face, content: PersonContent) -> tuple[str, ...]:
+        """Author the look and pictures of a person; lines of what is left out."""
+        lines: list[str] = []
+        if content.look:
+            from facepipe.heads.look_code import decode_look
+            from facepipe.verbs.person_basis import is_head
+            from facepipe.verbs.person_look import author_look
+
+            look, missing = decode_look(content.look, f"{self.coefficients} -> look")
+            lines += [
+                f"{self.coefficients}: look: {name} that this head does not have, a plain one" for name in missing
+            ]
+            if is_head(face.parts(), str(self.face)):
+                lines += author_look(face, look)
+            else:
+                lines.append(f"{self.coefficients}: left out: the look, which is of the built-in head")
+        if content.pictures:
+            from facepipe.verbs.person_look import author_pictures
+
+            lines += author_pictures(face, content.pictures, str(self.coefficients))
+        return tuple(lines)
 
     def missed(self, report: ApplyBonesReport) -> bool:
         return bool(report.left_out) or (bool(report.beyond_limits) and not self.clamp)

@@ -8,14 +8,17 @@ examples:
   facepipe person anna.usdc -o anna.fpb
   facepipe person anna.usdc -o anna.fpb --within 0.3
   facepipe person anna.usdc -o anna.fpb --bytes 1300
+  facepipe person anna.usdc -o anna.fpb --look
   facepipe person bob.usdc -o bob.fpb --database people.fpdb
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report, table
@@ -90,6 +93,13 @@ class WritePerson(FileAction[PersonReport]):
         metavar="MM",
     )
     most: int | None = option(None, "size of the payload at most", 64, 1 << 24, "bytes", flag="--bytes", metavar="N")
+    look: bool = option(False, "with how the built-in head looks: skin, hair, eyes")
+    textures: int = option(
+        0, "with pictures of the skin of so many texels a side (512, 1024); 0: none", 0, 4096, "texels"
+    )
+    coefficients: Path | None = source(
+        "bone coefficients to send with the person (.fpb)", default=None, flag="--coefficients", metavar="FPB"
+    )
 
     def check(self) -> None:
         super().check()
@@ -104,10 +114,34 @@ class WritePerson(FileAction[PersonReport]):
 
         with job.watch("person", 1) as bar:
             parts, how = read_face(self.face).parts(), {"template": self.template, "database": self.database}
-            data, report = encoded_person(parts, str(self.face), within=self.within, most=self.most, **how)
+            more = self._more(parts)
+            data, report = encoded_person(parts, str(self.face), within=self.within, most=self.most, more=more, **how)
             bar.update()
         write_bytes(job.out, data)
         return report
+
+    def _more(self, parts: FaceParts) -> dict[str, Any]:
+        """Of `PersonContent`, what is asked for beside the shape."""
+        more = dict[str, Any]()
+        if self.look:
+            from facepipe.heads.look_code import encode_look
+            from facepipe.verbs.person_basis import is_head
+            from facepipe.verbs.person_look import look_of
+
+            if not is_head(parts, str(self.face)):
+                raise InputError("--look", f"{self.face} is not the built-in head, expected it")
+            more["look"] = encode_look(look_of(parts))
+        if self.textures:
+            from facepipe.verbs.person_look import pictures_of
+
+            more["pictures"] = pictures_of(parts, self.textures)
+        if self.coefficients is not None:
+            from facepipe.payload import decode
+            from facepipe.verbs.bone_payload import payload_bytes
+
+            more["coefficients"] = payload_bytes(self.coefficients)
+            decode(more["coefficients"], parts.skeleton.joints, self.coefficients)
+        return more
 
     def text(self, report: PersonReport, out: Path) -> str:
         rows = [(one.name, one.bytes, f"{one.mean_mm:.3f}", f"{one.max_mm:.3f}") for one in report.layers]
@@ -123,13 +157,18 @@ def encoded_person(
     database: Path | None = None,
     within: float | None = None,
     most: int | None = None,
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[bytes, PersonReport]:
     """The payload of who a face is set to, and its report.
 
     :param within: millimetres; where there is no `most` either, what the command has as its default
     :param most: bytes
+    :param more: of `PersonContent`, what goes with the shape
     :raises InputError: a face without a basis, or fewer bytes than the person takes
     """
+    import numpy as np
+
+    from facepipe.payload.person import PersonContent, decode_person, encode_person
     from facepipe.rig import set_face
     from facepipe.verbs.person_basis import basis_of
     from facepipe.verbs.person_layers import encode_points
@@ -138,7 +177,12 @@ def encoded_person(
     basis = basis_of(parts, where, template=template, database=database)
     points = whole_points(basis.known(set_face(parts).parts, where))
     within = _WITHIN_MM if within is None and most is None else within
-    data, layers = encode_points(basis, points, within=within, most=most)
+    nobody = PersonContent(basis=basis.digest, modes=np.zeros(0))
+    beside = len(encode_person(replace(nobody, **more))) - len(encode_person(nobody))
+    spare = None if most is None else most - beside
+    data, layers = encode_points(basis, points, within=within, most=spare)
+    if more:
+        data = encode_person(replace(decode_person(data, where), **more))
     if most is not None and len(data) > most:
         raise InputError("--bytes", f"{most}, expected at least the {len(data)} that this person takes")
     told = tuple(Layer.of(one, points) for one in layers)

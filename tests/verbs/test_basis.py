@@ -135,7 +135,7 @@ def test_a_studios_own_face_is_a_basis(tmp_path: Path, capsys: Capsys) -> None:
         )
         == 0
     )
-    assert main(["basis", "-o", str(out), "--template", str(face), "--database", "x.fpdb"]) == 2
+    assert main(["basis", "-o", str(tmp_path / "new.fpbasis"), "--template", str(face), "--database", "x.fpdb"]) == 2
     assert "--template: given with --database" in capsys.readouterr().err
 
 
