@@ -34,7 +34,7 @@ def basis(model: Model, modes: npt.NDArray[np.int16], made: Skeleton) -> BasisCo
     levels = PointLevels.of(places / _GRID, topology.triangles, some)
     joints = []
     for path, rows, shares in zip(made.joints, made.points, made.shares.astype(np.float32), strict=True):
-        joints.append(JointPlace(path, rows[shares > 0].astype(np.int64), shares[shares > 0].astype(np.float64)))
+        joints.append(JointPlace(path, rows[shares != 0].astype(np.int64), shares[shares != 0].astype(np.float64)))
     return BasisContent(
         name=_NAME,
         meshes=tuple(map(MeshRun, topology.names, topology.points)),

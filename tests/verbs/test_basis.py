@@ -17,6 +17,7 @@ import facepipe
 from facepipe.cli import main
 from facepipe.core.errors import InputError
 from facepipe.geometry.point_levels import PointLevels
+from facepipe.heads.assembly import skeleton
 from facepipe.payload.basis import (
     BasisContent,
     JointPlace,
@@ -28,6 +29,7 @@ from facepipe.payload.basis import (
     encode_basis,
 )
 from facepipe.stage import save_parts
+from facepipe.verbs.person_basis import head_basis
 
 
 def grid_basis(side: int = 12, modes: int = 3) -> BasisContent:
@@ -110,6 +112,15 @@ def test_the_command_writes_what_the_package_has(tmp_path: Path) -> None:
     shipped = (REPOSITORY / "facepipe" / "heads" / "data" / "head.fpbasis").read_bytes()
     assert out.read_bytes()[:20] == shipped[:20]
     assert zlib.decompress(out.read_bytes()[20:]) == zlib.decompress(shipped[20:])
+
+
+def test_joints_of_the_basis_are_where_the_skeleton_of_a_person_has_them() -> None:
+    basis = head_basis()
+    points = basis.shaped(np.random.default_rng(0).normal(size=100))
+    places = [joint.shares @ points[joint.points] for joint in basis.content.joints]
+    made = skeleton(points / 10)
+    np.testing.assert_allclose(places, 10 * np.asarray(made.bind_transforms)[:, :3, 3], atol=1e-4)
+    assert [joint.path for joint in basis.content.joints] == list(made.joints)
 
 
 def test_a_studios_own_face_is_a_basis(tmp_path: Path, capsys: Capsys) -> None:
