@@ -206,7 +206,7 @@ def basis(
 
     :param template: face stage that others are sent as points of
     :param database: faces whose modes to use (.fpdb)
-    :param out: basis to write: .fpbasis
+    :param out: basis to write: .fpbasis, or .onnx for engines that run graphs
     :param overwrite: put it in place of a file that is there
     :raises FacepipeError: what can't be read, done or written; then nothing is written
     """

@@ -22,9 +22,10 @@ PER_FRAME = frozenset(
 )
 # Of compressed weights, normals and encoders; declared in the sidecar where a graph uses them.
 FURTHER = frozenset({"Cast", "Div", "Softmax", "Sqrt"})
-TYPES: dict[int, np.dtype[Any]] = {  # TensorProto.FLOAT, INT8, INT64, FLOAT16
+TYPES: dict[int, np.dtype[Any]] = {  # TensorProto.FLOAT, INT8, INT16, INT64, FLOAT16
     1: np.dtype("<f4"),
     3: np.dtype("<i1"),
+    5: np.dtype("<i2"),
     7: np.dtype("<i8"),
     10: np.dtype("<f2"),
 }
@@ -92,7 +93,13 @@ ENCODER = Kind(
     frozenset({"controls"}),
     (frozenset({"points", "controls"}),),
 )
-KINDS = (DEFORMER, SLIDERS, ENCODER)
+PERSONS = Kind(
+    "facepipe persons",
+    frozenset({"modes", "placement", "parts", "offsets"}),
+    frozenset({"points", "joints"}),
+    (frozenset({"offsets", "points"}),),
+)
+KINDS = (DEFORMER, SLIDERS, ENCODER, PERSONS)
 
 
 def operators(model: Any) -> list[str]:

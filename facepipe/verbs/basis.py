@@ -7,12 +7,14 @@ examples:
   facepipe basis -o head.fpbasis
   facepipe basis -o people.fpbasis --database people.fpdb
   facepipe basis -o studio.fpbasis --template studio.usdc
+  facepipe basis -o head.onnx
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
@@ -36,11 +38,16 @@ class BasisReport(Report):
 class WriteBasis(FileAction[BasisReport]):
     """The action."""
 
-    output = "basis to write: .fpbasis"
-    suffixes = (".fpbasis",)
+    output = "basis to write: .fpbasis, or .onnx for engines that run graphs"
+    suffixes = (".fpbasis", ".onnx")
 
     template: Path | None = source("face stage that others are sent as points of", default=None, flag="--template")
     database: Path | None = source("faces whose modes to use (.fpdb)", default=None, flag="--database", metavar="FPDB")
+
+    @classmethod
+    def with_it(cls, out: Path) -> tuple[Path, ...]:
+        """The sidecar of a graph."""
+        return (out.with_name(f"{out.name}.json"),) if out.suffix.lower() == ".onnx" else ()
 
     def check(self) -> None:
         super().check()
@@ -50,15 +57,21 @@ class WriteBasis(FileAction[BasisReport]):
     def write(self, job: Job) -> BasisReport:
         from facepipe.core.atomic import write_bytes
         from facepipe.payload.basis import encode_basis
+        from facepipe.registry import exporter
         from facepipe.verbs.person_basis import basis_of
 
         with job.watch("basis", 1) as bar:
             basis = basis_of(None, "basis", template=self.template, database=self.database)
-            data = encode_basis(basis.content)
+            if job.out.suffix.lower() == ".onnx":
+                onnx: Any = exporter(job.out)
+                size = onnx.export_persons(basis.content, basis.digest.hex(), job.out).bytes
+            else:
+                data = encode_basis(basis.content)
+                write_bytes(job.out, data)
+                size = len(data)
             bar.update()
-        write_bytes(job.out, data)
         return BasisReport(
-            bytes=len(data),
+            bytes=size,
             basis=basis.name,
             digest=basis.digest.hex(),
             points=len(basis.mean),
