@@ -129,6 +129,7 @@ def apply_bones(
     database: str | os.PathLike[str] | None = None,
     clamp: bool = False,
     name: str | None = None,
+    as_section: bool = False,
 ) -> ApplyBonesReport:
     """Rebuild a face from bone coefficients: `facepipe apply-bones`.
 
@@ -137,6 +138,7 @@ def apply_bones(
     :param database: faces whose modes a person is made of: .fpdb, or their .fpbasis
     :param clamp: bring coefficients into the bone limits of FACE
     :param name: name of the animation (default: the file's)
+    :param as_section: keep a person as the payload's bytes over FACE's own points
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there
     :param flatten: write a standalone file
@@ -1147,6 +1149,7 @@ def sliders(
     threshold_mm: float = 0.1,
     table: str | os.PathLike[str] | None = None,
     network: str | os.PathLike[str] | None = None,
+    person: str | os.PathLike[str] | None = None,
     shapes: str | None = None,
     drop: bool = False,
     values: Mapping[str, float] = {},
@@ -1166,6 +1169,7 @@ def sliders(
     :param face: face stage
     :param table: sliders to author: .toml or .csv
     :param network: learned network to put beside the sliders: .npz
+    :param person: person whose own values to set: .fpb, or a face
     :param shapes: sliders to make of blendshapes, all or those of these names
     :param drop: with --from and --from-shapes: drop the sliders that FACE has
     :param values: slider value

@@ -255,7 +255,8 @@ class Slider:
     """A user control that adds to bone coefficient channels and shape weights.
 
     An entry of `channels` or `shapes` adds ``gain * (value - default)``, or ``gain * curve(value)`` where it has a
-    curve. The value is clamped to minimum..maximum first.
+    curve; one of `modes` the first, to the neutral, where a face is set (`facepipe.rig.identity`). The value is clamped
+    to minimum..maximum first.
     """
 
     name: str
@@ -269,6 +270,7 @@ class Slider:
     channel_curves: tuple[Curve | None, ...] = ()  # empty, or one per channel; None: straight
     shape_curves: tuple[Curve | None, ...] = ()  # empty, or one per shape; None: straight
     mirror: str | None = None  # the slider of the other side, whose mirror this one is
+    modes: tuple[tuple[int, float], ...] = ()  # (mode of the face's basis, gain in its standard deviations)
 
     @property
     def setting(self) -> float:
@@ -483,6 +485,15 @@ class Recipe:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PersonBasis:
+    """The mean and modes that a face's person is relative to (docs/files.md, "A person on the stage")."""
+
+    name: str  # for people
+    digest: str  # hexadecimal
+    section: bytes = b""  # the payload of the neutral that is to be in place of the points; b"": these are it
+
+
+@dataclass(frozen=True, kw_only=True)
 class FaceParts:
     """A whole face. Names of meshes, of materials and of animations are any text, each once; joint paths hold USD
     identifiers."""
@@ -501,6 +512,7 @@ class FaceParts:
     materials: tuple[Material, ...] = ()
     attach_joint: str | None = None  # path of the body joint that the root joints hang under
     person: str | None = None  # the pose that is the person, where bone coefficients made it; None: the sliders' values
+    person_basis: PersonBasis | None = None  # of the modes of its sliders, and of its section
     attribution: str = ""  # copyright and license line that stays with the face
     vrm: Mapping[str, object] = field(default_factory=dict)  # what a VRM says of its avatar, as JSON: names, no indices
     photos: tuple[PhotoView, ...] = ()

@@ -28,7 +28,7 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
     made = {str(path): list(ids) for path, ids in prim_map.items()}
     warnings: list[str] = []
     for face in faces_on(stage):
-        parts = face.parts()  # read whole before anything changes
+        parts = face.with_identity().parts()  # read whole before anything changes
         armature, objects = _objects(face, made)
         if not objects:
             continue

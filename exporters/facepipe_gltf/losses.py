@@ -19,6 +19,7 @@ from facepipe.parts import (
     Skeleton,
     TextureInput,
 )
+from facepipe.rig.sliders import modes_line
 from facepipe.rig.trs import accumulate
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import LOST, merge
@@ -188,7 +189,9 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     become = "whose polygons become triangles: some repeat a point"
     lines += _counted(f"mesh {become}", f"meshes {become}", flat)
     sliders, photos = {one.name for one in kept.sliders}, {one.name for one in kept.photos}
-    lines += _counted("slider", "sliders", [one.name for one in parts.sliders if one.name not in sliders])
+    gone = {one.name for one in parts.sliders if one.modes}
+    lines += _counted("slider", "sliders", [one.name for one in parts.sliders if one.name not in sliders | gone])
+    lines += modes_line(parts.sliders)
     if parts.slider_network is not None and kept.slider_network is None:
         lines.append("learned network of the sliders")
     unkept = [one.name for one in parts.photos if one.name not in photos]

@@ -65,7 +65,10 @@ def _husk(
     joints = set(skeleton.joints)
     shapes = {sculpt.shape for mesh in meshes for sculpt in mesh.sculpts}
     pairs = [(slider, kept(slider, joints.__contains__, shapes.__contains__)) for slider in parts.sliders]
-    sliders = [own for one, own in pairs if own.channels or own.shapes or not (one.channels or one.shapes)]
+    # readers of the file have no basis of people, whose modes some move
+    sliders = [
+        own for one, own in pairs if not one.modes and (own.channels or own.shapes or not (one.channels or one.shapes))
+    ]
     network = parts.slider_network
     if network is not None:
         network = kept_outputs(network, joints.__contains__, shapes.__contains__)
@@ -93,6 +96,7 @@ def _husk(
         played=parts.played if parts.played in animations else None,
         person=parts.person if parts.person in animations else None,
         sliders=with_mutual_mirrors(sliders),
+        person_basis=None,
         slider_network=network,
         bone_limits=parts.bone_limits if joints else None,
         attach_joint=parts.attach_joint if joints else None,

@@ -25,6 +25,7 @@ from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
 from facepipe.rig.animation import linear_skinning_notes
 from facepipe.rig.neural_rig import EPSILON, EncoderLayer, NeuralEncoder
+from facepipe.rig.sliders import modes_line
 from facepipe_onnx import slider_graph
 from facepipe_onnx.describe import describe
 from facepipe_onnx.graph import build, select_shapes
@@ -228,7 +229,8 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     (target, beside), options = outputs(path), options or Options()
     require_finite(parts, parts.name, error=ExportError)
     delivered = set_face(parts, options.pose)
-    parts = delivered.parts
+    parts, no_modes = delivered.parts, modes_line(delivered.parts.sliders) if options.sliders else ()
+    parts = replace(parts, sliders=tuple(slider for slider in parts.sliders if not slider.modes))
     whole = replace(build_rig(parts), dual=None)  # graphs blend joints linearly, which the report says
     triangles = _triangles(parts, whole) if options.normals else None
     names = select(whole.shapes, options.shapes, "shapes")
@@ -264,7 +266,7 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         bytes=size,
         seconds=time.perf_counter() - start,
         warnings=linear_skinning_notes(parts),
-        dropped=_dropped(parts, options, sliders),
+        dropped=(*_dropped(parts, options, sliders), *no_modes),
         error_mm=None if packed is None else packed["error_mm"],
         pose=delivered.pose,
         pose_error=None if delivered.error is None else asdict(delivered.error),

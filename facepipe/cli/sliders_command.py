@@ -19,7 +19,7 @@ __doc__ = _LINE.__doc__  # of --help
 configure = _LINE.configure
 
 _SHOWN = 4  # of what a slider drives
-_WAYS = ("table", "network", "shapes", "values", "reset")
+_WAYS = ("table", "network", "shapes", "values", "reset", "person")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         "--flatten": arguments.flatten,
     }.items():
         if given:
-            what = "given without --from, --from-shapes, --from-network or --set, expected both or neither"
+            what = "given without --from, --from-shapes, --from-network, --person or --set, expected both or neither"
             raise InputError(flag, what)
     SlidersOfFace.line_values(arguments, {})
     if arguments.face is None:

@@ -30,6 +30,7 @@ from facepipe.parts import (
     Landmarks,
     MaterialFaces,
     Mesh,
+    PersonBasis,
     Recipe,
     Skeleton,
     Skin,
@@ -47,6 +48,9 @@ _HEAD, _NECK = "root/neck/head", "root/neck"
 _EYES = (f"{_HEAD}/eyeLeft", f"{_HEAD}/eyeRight")
 _MIRRORED = ("tx", "ry", "rz")  # channels of the other sign on the other side
 _SAME = 1e-4  # cm: shapes that differ less are the same
+MEASURES_REACH = 1.5  # of sliders of measures: three standard deviations, which people have
+IDENTITY_STEP = 1 / 4096  # of gains and weights of the identity sliders
+IDENTITY_REACH = 6.0  # of sliders of modes, which are in standard deviations: 5.5 is the most of 300 people by seeds
 _LEAST = 1e-3  # cm, or share of the size: less moves no joint
 _CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
     *(("eye", channel, column, 1.0) for column, channel in enumerate(("tx", "ty", "tz", "sx"))),
@@ -80,6 +84,7 @@ VISEMES: dict[str, dict[str, float]] = {
     "U": {"jawOpen": 0.12, "mouthPucker": 0.75, "mouthFunnel": 0.45},
 }
 Controls = Literal["measures", "bones"]
+MODE = "identity"  # what names of sliders of modes begin with
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 LIDS = (*BLINKS, *(name + side for name in (*LOOKS, SQUINT) for side in SIDES))  # shapes that each person has fitted
 
@@ -185,7 +190,11 @@ Gains = Sequence[tuple[Direction, float]]
 def identity_sliders() -> tuple[Slider, ...]:
     """The sliders of measures, from -1 to 1; those of one side name their mirror."""
     by_name = {direction.name: direction for direction in directions()}
-    sliders = [slider for one in by_name.values() for slider in _family(one.name, one.group, [(one, 1.0)])]
+    measured = set(arrays("measures")["names"].tolist())
+    sliders = []
+    for one in by_name.values():
+        reach = MEASURES_REACH if one.name in measured else 1.0
+        sliders += _family(one.name, one.group, [(one, 1.0)], reach)
     table = json.loads((files("facepipe.heads") / "data" / "mixes.json").read_text("utf-8"))
     for group, mixes in table.items():  # group -> slider -> gain of each measure
         for name, gains in mixes.items():
@@ -193,19 +202,20 @@ def identity_sliders() -> tuple[Slider, ...]:
     return tuple(sliders)
 
 
-def _family(name: str, group: str, parts: Gains) -> list[Slider]:
+def _family(name: str, group: str, parts: Gains, reach: float = 1.0) -> list[Slider]:
     """The slider of both sides and, where all its directions have sides, those of each."""
     whole = [(shape, gain) for one, gain in parts for shape in one.shapes]
     if not all(one.sided for one, _ in parts):
-        return [_slider(name, group, whole)]
+        return [_slider(name, group, whole, reach)]
     sides = [
-        _slider(name + side, group, [(one.shapes[i], gain) for one, gain in parts]) for i, side in enumerate(SIDES)
+        _slider(name + side, group, [(one.shapes[i], gain) for one, gain in parts], reach)
+        for i, side in enumerate(SIDES)
     ]
     mirrors = [replace(one, mirror=other.name) for one, other in (sides, sides[::-1])]
-    return [_slider(name, group, whole), *mirrors]
+    return [_slider(name, group, whole, reach), *mirrors]
 
 
-def _slider(name: str, group: str, parts: Gains) -> Slider:
+def _slider(name: str, group: str, parts: Gains, reach: float) -> Slider:
     eyes = sum((gain * shape.eyes for shape, gain in parts), np.zeros((2, 5)))
     channels = [
         (f"root/neck/head/{joint}{side}", channel, round(float(gains[column] * share), 5))
@@ -214,7 +224,62 @@ def _slider(name: str, group: str, parts: Gains) -> Slider:
         if abs(gains[column]) >= _LEAST
     ]
     shapes = tuple((shape.name, gain) for shape, gain in parts)
-    return Slider(name=name, group=group, minimum=-1.0, channels=tuple(channels), shapes=shapes)
+    return Slider(name=name, group=group, minimum=-reach, maximum=reach, channels=tuple(channels), shapes=shapes)
+
+
+@cache
+def mode_sliders() -> tuple[Slider, ...]:
+    """Sliders of the identity modes, and of sums of them by region, each less what the modes add to measures."""
+    data = arrays("identity")
+    size = len(data["even"])
+    rows = [
+        *((f"{MODE}{mode + 1:03}", "identity", row, IDENTITY_REACH) for mode, row in enumerate(np.eye(size))),
+        *(
+            (str(name), str(group), IDENTITY_STEP * row, MEASURES_REACH)
+            for name, group, row in zip(data["names"], data["groups"], data["weights"], strict=True)
+        ),
+    ]
+    by_name, made = {slider.name: slider for slider in identity_sliders()}, []
+    for name, group, weights, reach in rows:
+        channels: dict[tuple[str, str], float] = {}
+        shapes: dict[str, float] = {}
+        for measure, amount in measures_of(weights).items():
+            for joint, channel, gain in by_name[measure].channels:
+                channels[joint, channel] = channels.get((joint, channel), 0.0) - amount * gain
+            for shape, gain in by_name[measure].shapes:
+                shapes[shape] = shapes.get(shape, 0.0) - amount * gain
+        slider = Slider(
+            name=name,
+            group=group,
+            minimum=-reach,
+            maximum=reach,
+            channels=tuple((*where, gain) for where, gain in channels.items()),
+            shapes=tuple(shapes.items()),
+            modes=tuple((int(mode), float(weights[mode])) for mode in np.flatnonzero(weights)),
+        )
+        made.append(slider)
+    return tuple(made)
+
+
+def measures_of(weights: FloatArray) -> dict[str, float]:
+    """The values of the sliders of measures that a person by weights (100,) of the identity modes has as its own.
+
+    Sliders of both sides have the mean of both, those of one side what it differs by.
+    """
+    data, names = arrays("identity"), arrays("measures")["names"]
+    even, gains = data["even"], IDENTITY_STEP * data["gains"].astype(np.float64)
+    both, apart = (np.where(rows, weights, 0.0) @ gains for rows in (even, ~even))
+    found = {str(name): float(value) for name, value in zip(names, both, strict=True) if value}
+    for name, value in zip(names, apart, strict=True):
+        if value:
+            found |= {f"{name}{SIDES[0]}": float(value), f"{name}{SIDES[1]}": -float(value)}
+    return found
+
+
+def values_of(weights: FloatArray) -> dict[str, float]:
+    """The values of all sliders that are a person by weights (100,) of the identity modes: measures and modes."""
+    modes = {f"{MODE}{mode + 1:03}": float(weight) for mode, weight in enumerate(weights)}
+    return {**measures_of(np.asarray(weights, np.float64)), **modes}
 
 
 def sided(weights: dict[str, float], shapes: frozenset[str]) -> dict[str, float]:
@@ -346,6 +411,10 @@ def make_head(identity: FloatArray, controls: Controls = "measures", *, closed: 
             **shapes,
             **{shape.name: {1.0: shape.offsets} for direction in directions() for shape in direction.shapes},
         }
+    own_sliders, basis = bone_sliders(), None
+    if controls == "measures":
+        own_sliders = (*identity_sliders(), *mode_sliders())
+        basis = PersonBasis(name=asset().basis.name, digest=asset().basis_digest.hex())
     # limits that keep the face whole: 0.8 cm, 0.4 rad and 30 % for face joints, wider turns for jaw, neck and eyes
     lower = np.tile(np.repeat([-0.8, -0.4, 0.7], 3), (len(head.joints), 1))
     upper = np.tile(np.repeat([0.8, 0.4, 1.3], 3), (len(head.joints), 1))
@@ -365,7 +434,8 @@ def make_head(identity: FloatArray, controls: Controls = "measures", *, closed: 
         skeleton=skeleton(points),
         animations=animations(frozenset(head.shapes)),
         played=TALK,
-        sliders=(*sliders(frozenset(head.shapes)), *(identity_sliders() if controls == "measures" else bone_sliders())),
+        sliders=(*sliders(frozenset(head.shapes)), *own_sliders),
+        person_basis=basis,
         bone_limits=BoneLimits(lower=lower, upper=upper),
         attribution=ATTRIBUTION,
     )

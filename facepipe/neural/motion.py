@@ -318,7 +318,8 @@ def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, 
 
     :param also: shapes that are controls though sliders drive them
     """
-    sliders = [slider for slider in parts.sliders if slider.minimum < slider.maximum]
+    # what sliders over modes do is in no rig
+    sliders = [slider for slider in parts.sliders if slider.minimum < slider.maximum and not slider.modes]
     driven = {shape for slider in sliders for shape, _ in slider.shapes} - set(also) | {
         slider.name for slider in sliders
     }

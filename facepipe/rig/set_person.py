@@ -37,6 +37,7 @@ from facepipe.rig.rig import Rig, build, curves, inverse
 from facepipe.rig.sliders import (
     channel_entries,
     clamped_value,
+    mode_weights,
     network_resting_at,
     resting_at,
     shape_entries,
@@ -52,6 +53,7 @@ POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of
 
 _SLIDERS_NAMED = 3  # sliders of a description
 _SAME_POSE = 1e-6
+_CANCELLED = 1e-6  # of sums: sliders, whose values files hold in float32, that take what others add
 _KNOTS_APART = 1e-6  # of weights: nearer knots are one
 _NO_GAIN = 1e-9  # of gains
 _EXACT_TRANSFORM = 1e-9
@@ -105,6 +107,11 @@ def person_of(parts: FaceParts, pose: str = "set") -> Person:
     if not moved:
         return person_of(parts, "rest")
     coefficients, weights = slide(parts.sliders, parts.skeleton.joints, network=parts.slider_network)
+    if any(slider.modes for slider in parts.sliders):
+        # of a person's own values what identity sliders take of measures is what these add
+        rest = rest_coefficients(len(coefficients))
+        coefficients = np.where(np.abs(coefficients - rest) < _CANCELLED, rest, coefficients)
+        weights = {name: weight for name, weight in weights.items() if abs(weight) >= _CANCELLED}
     some = ", ".join(f"{slider.name}={slider.value:g}" for slider in moved[:_SLIDERS_NAMED])
     more = f" and {len(moved) - _SLIDERS_NAMED} more" if len(moved) > _SLIDERS_NAMED else ""
     return Person(description=f"set by sliders {some}{more}", coefficients=coefficients, weights=weights)
@@ -431,8 +438,15 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         the person
     :raises TopologyError: indices and counts that don't fit
     """
-    person = person_of(parts, pose)
+    given, person = parts, person_of(parts, pose)
+    if pose != "rest" and mode_weights(parts.sliders):
+        from facepipe.rig.identity import with_identity
+
+        parts = with_identity(parts)  # the neutral that all else is on top of
     if person.is_rest:
+        if parts is not given:
+            at = (resting_at(slider, clamped_value(slider)) for slider in given.sliders)
+            parts = replace(parts, sliders=tuple(at), person=None)
         return SetFace(parts=parts, pose=person.description, error=None)
     in_joints = pose == "set-joints"
     rig = build(parts)
@@ -472,7 +486,10 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         skeleton=skeleton,
         animations=animations,
         played=parts.played if parts.played in {animation.name for animation in animations} else None,
-        sliders=tuple(change.slider(slider) for slider in parts.sliders),
+        sliders=tuple(
+            replace(change.slider(slider), modes=own.modes)
+            for slider, own in zip(parts.sliders, given.sliders, strict=True)
+        ),
         slider_network=network_on(parts, change),
         bone_limits=limits_on(parts.bone_limits, person, stretch),
         person=None,

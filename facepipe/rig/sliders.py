@@ -161,6 +161,27 @@ def slide(
     return coefficients, weights
 
 
+def mode_weights(sliders: Sequence[Slider], values: Mapping[str, float] | None = None) -> dict[int, float]:
+    """What sliders add to modes of the face's basis, in standard deviations; those that get nothing are left out.
+
+    :param values: in place of the authored ones
+    :raises InputError: a value that is not finite
+    """
+    weights: dict[int, float] = {}
+    for slider in sliders:
+        if slider.modes:
+            amount = _clamped(slider, (values or {}).get(slider.name, slider.setting)) - slider.default
+            for mode, gain in slider.modes if amount else ():
+                weights[mode] = weights.get(mode, 0.0) + gain * amount
+    return {mode: weight for mode, weight in weights.items() if weight}
+
+
+def modes_line(sliders: Sequence[Slider]) -> tuple[str, ...]:
+    """What a report of a file says whose readers have no basis of people: a line for sliders over its modes."""
+    names = [slider.name for slider in sliders if slider.modes]
+    return (f"{len(names)} sliders over modes of people ({names[0]} ... {names[-1]}), set or not",) if names else ()
+
+
 def response(curve: Curve | None, value: float, default: float) -> float:
     """The factor of an entry's gain at a slider value that is in range."""
     if curve is None:

@@ -28,7 +28,13 @@ from facepipe.stage.skeleton import (
     author_time_range,
     vrm_text,
 )
-from facepipe.stage.sliders import author_slider_network, author_sliders, check_face_network, check_sliders
+from facepipe.stage.sliders import (
+    author_person_basis,
+    author_slider_network,
+    author_sliders,
+    check_face_network,
+    check_sliders,
+)
 from facepipe.stage.textures import TextureFolder, texture_home
 from facepipe.stage.values import require_writable
 
@@ -85,6 +91,8 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     ):
         if value:
             put_value(prim, name, value)
+    if parts.person_basis is not None:
+        author_person_basis(prim, parts.person_basis)
     check_photos(parts.name, parts.photos)
     skeleton = author_skeleton(stage, path.AppendChild(identifier(parts.skeleton.name)), parts.skeleton)
     if parts.bone_limits:

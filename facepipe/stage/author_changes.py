@@ -22,17 +22,25 @@ from facepipe.stage.author_mesh import (
     author_point_values,
     check_mesh_change,
 )
-from facepipe.stage.face import Face
+from facepipe.stage.face import OF_NEUTRAL, Face
 from facepipe.stage.material_variants import Bindings
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import check_property_name, editable, prims_below, put, put_value, remove_schema
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.skeleton import author_animation_changes, author_limits, author_recipe, vrm_text
-from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders
+from facepipe.stage.sliders import (
+    author_network_change,
+    author_person_basis,
+    author_sliders,
+    check_face_network,
+    check_sliders,
+)
 from facepipe.stage.values import matrix, require_same, require_writable, same, to_matrices
 
 
-def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None) -> tuple[str, ...]:
+def author_changes(
+    face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None, *, into_points: bool = False
+) -> tuple[str, ...]:
     """Author on a face what differs between it and `parts`, compared in float32; one line per thing authored.
 
     `face` stands over an override layer (`Face.deriving`); what it has read stays as it was. A face without joints can
@@ -42,12 +50,15 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
 
     :param primvars: more float values (n,) per point of all meshes in stage order, by primvar name; a mesh whose
         values are all NaN gets none
+    :param into_points: the neutral of the face's section goes into points, joints and shapes, as it does where these
+        change
     :raises TopologyError: other meshes, joints, points or faces than the face has
     :raises InputError: NaN, a name that USD can't hold, a difference in a field that stays as it is, or a face that was
         authored on since it was read
     """
     old = face.parts()
     _check(face, old, parts)
+    old, lines = _author_basis(face, old, parts, into_points=into_points)
     values = {name: _per_mesh(face, name, array) for name, array in (primvars or {}).items()}
     meshes = [face.mesh_prim(mesh.name).GetPath() for mesh in old.meshes]
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
@@ -56,7 +67,6 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     photos = [prim.GetPath() for prim in prims_below(face.prim, face.where) if is_photo(prim)]
     if (len(animations), len(photos)) != (len(old.animations), len(old.photos)):
         raise InputError(face.where, "its stage has changed since it was read, expected a new Face of it")
-    lines: list[str] = []
     for path, before, after in zip(meshes, old.meshes, parts.meshes, strict=True):
         lines += author_mesh_changes(at(path), before, after, at(skeleton), parts.skeleton.joints, shared)
     if lines:
@@ -76,14 +86,44 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     return (*lines, *_author_text_changes(face.prim, old, parts))
 
 
+def _author_basis(face: Face, old: FaceParts, new: FaceParts, *, into_points: bool) -> tuple[FaceParts, list[str]]:
+    """Author on the face prim the basis of its person where it differs, with a line for that.
+
+    The section stays where the neutral stays: else what is authored would be under what the section gives.
+
+    :returns: what else the face differs from, the lines
+    """
+    before, after = face.person_basis, new.person_basis
+    if before is not None and before.section:
+        if into_points or not _same_neutral(old, new):
+            old = replace(old, **{name: getattr(face.authored, name) for name in OF_NEUTRAL})
+        elif after is not None and not after.section and after.digest == before.digest:
+            after = before
+    if after == before:
+        return old, []
+    author_person_basis(face.prim, after)
+    return old, ["person"]
+
+
+def _same_neutral(old: FaceParts, new: FaceParts) -> bool:
+    """Whether points, shapes and joints are the same."""
+    pairs = zip(old.meshes, new.meshes, strict=True)
+    fields = ("points", "normals", "blendshapes")
+    return same(old.skeleton, new.skeleton) and all(
+        same(getattr(one, name), getattr(other, name)) for one, other in pairs for name in fields
+    )
+
+
 def author_mesh_in_place(face: Face, mesh: Mesh) -> None:
     """Author another mesh over the one of its name, within `Face.deriving`: other points, faces and shapes too.
 
-    What `face` has read stays as it was.
+    What `face` has read stays as it was, and the neutral of its section goes into points.
 
     :raises InputError: no mesh of that name, or one with another transform, material or texture coordinates by name
     """
     require_writable(mesh, face.where)
+    if face.person_basis is not None and face.person_basis.section:
+        author_changes(face, face.parts(), into_points=True)
     prim = face.mesh_prim(mesh.name)
     old = next(candidate for candidate in face.meshes if candidate.name == mesh.name)
     (skeleton,) = _paths(face, UsdSkel.Skeleton)

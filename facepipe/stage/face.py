@@ -23,6 +23,7 @@ from facepipe.parts import (
     Landmarks,
     Material,
     Mesh,
+    PersonBasis,
     PhotoView,
     Skeleton,
     Slider,
@@ -30,6 +31,7 @@ from facepipe.parts import (
     Texture,
 )
 from facepipe.rig import Person, Rig, build, person_of, sample_transforms, sample_weights, slide
+from facepipe.rig.sliders import mode_weights
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, level_names, open_stage, over, stage_at
 from facepipe.stage.material_variants import Variants, read_variants
@@ -37,7 +39,7 @@ from facepipe.stage.materials import Images, author_texture, read_material, text
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, editable, is_applied, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import author_source, read_animation, read_limits, read_recipe, read_skeleton, read_vrm
-from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
+from facepipe.stage.sliders import check_face_network, read_person_basis, read_slider_network, read_sliders
 from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe.stage.values import errors_below, usd_errors
 
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from facepipe.stage.textures import NewTextures
 
 Read = TypeVar("Read")
+OF_NEUTRAL = ("meshes", "skeleton", "animations")  # what follows from it
 
 
 class Face:
@@ -124,11 +127,53 @@ class Face:
 
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
-        """The meshes in stage order, names unique.
+        """The meshes in stage order, names unique, with the neutral of the face's section where it has one.
 
-        :raises SchemaError: a mesh that doesn't follow the stage convention
+        :raises SchemaError: a mesh that doesn't follow the stage convention, or a section of another face or basis
         :raises TopologyError: one whose arrays don't fit each other
         """
+        return self._meshes if self._rebuilt is None else self._rebuilt.meshes
+
+    @cached_property
+    def skeleton(self) -> Skeleton:
+        """The skeleton; without joints for a blendshape-only face."""
+        return self._skeleton if self._rebuilt is None else self._rebuilt.skeleton
+
+    @cached_property
+    def animations(self) -> tuple[Animation, ...]:
+        """Poses and clips below the face."""
+        return self._animations if self._rebuilt is None else self._rebuilt.animations
+
+    @cached_property
+    def person_basis(self) -> PersonBasis | None:
+        """What its person is relative to; None for most faces of others."""
+        with errors_below(self.where):
+            return read_person_basis(self.prim)
+
+    @cached_property
+    def authored(self) -> FaceParts:
+        """What stands on the stage of meshes, skeleton and animations, where `meshes` has a section in their place."""
+        return FaceParts(
+            name=self.name,
+            meters_per_unit=self.meters_per_unit,
+            up_axis="Z" if self.up_axis == "Z" else "Y",
+            meshes=self._meshes,
+            skeleton=self._skeleton,
+            animations=self._animations,
+            person_basis=self.person_basis,
+        )
+
+    @cached_property
+    def _rebuilt(self) -> FaceParts | None:
+        """The face of its section; None: it has none."""
+        if self.person_basis is None or not self.person_basis.section:
+            return None
+        from facepipe.rig.identity import neutrals
+
+        return self._finite(neutrals().with_section(self.authored, self.where))
+
+    @cached_property
+    def _meshes(self) -> tuple[Mesh, ...]:
         prims = [prim for prim in self._below() if prim.IsA(UsdGeom.Mesh)]
         own = distinct_names(prims, [str(prim.GetPath().MakeRelativePath(self.prim.GetPath())) for prim in prims])
         with errors_below(self.where):
@@ -139,7 +184,7 @@ class Face:
             bound = cache.ComputeSkelBindings(root, INSTANCES)
             # as UsdSkel binds them, which looks at what is inherited; a mesh that it skips is not deformed by it either
             bindings = {
-                str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
+                str(query.GetPrim().GetPath()): Binding(query, self._skeleton.joints)
                 for binding in bound
                 for query in binding.GetSkinningTargets()
             }
@@ -148,14 +193,12 @@ class Face:
             return self._finite(tuple(read))
 
     @cached_property
-    def skeleton(self) -> Skeleton:
-        """The skeleton; without joints for a blendshape-only face."""
+    def _skeleton(self) -> Skeleton:
         with errors_below(self.where):
             return read_skeleton(self._skeleton_prim)
 
     @cached_property
-    def animations(self) -> tuple[Animation, ...]:
-        """Poses and clips below the face."""
+    def _animations(self) -> tuple[Animation, ...]:
         with errors_below(self.where):
             return self._finite(tuple(read_animation(prim, name) for name, prim in animation_prims(self).items()))
 
@@ -236,11 +279,41 @@ class Face:
             expected = f"expected 0 to {len(names) - 1}" if names else "the face has none (`facepipe lod` makes some)"
             raise InputError(self.where, f"no level of detail {number}, {expected}")
         stage = stage_at(self.stage, self.prim.GetPath(), names[number])
-        return Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+        face = Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+        if number and self.person_basis is not None:  # lower levels were made of what section and modes give
+            sliders = tuple(replace(slider, modes=()) for slider in self.sliders)
+            face.__dict__ |= {"person_basis": replace(self.person_basis, section=b""), "sliders": sliders}
+        return face
 
     def lower_levels(self) -> tuple[FaceParts, ...]:
         """The face at each lower level of detail, finest first, as arrays."""
         return tuple(self.at_level(number).parts() for number in range(1, len(self.levels)))
+
+    def with_identity(self, sliders: Mapping[str, float] | None = None) -> Face:
+        """The face whose neutral has what sliders do to it by modes of its basis; itself where they do nothing.
+
+        :param sliders: values by name; those not named have the values authored on the stage
+        :raises InputError: a face that is not of that basis
+        """
+        return self._with_identity(sliders) if sliders else self._identity
+
+    @cached_property
+    def _identity(self) -> Face:
+        return self._with_identity(None)
+
+    def _with_identity(self, sliders: Mapping[str, float] | None) -> Face:
+        if not mode_weights(self.sliders, sliders):
+            return self
+        from facepipe.rig.identity import with_identity
+
+        parts = self.parts()
+        with errors_below(self.where):
+            changed = with_identity(parts, sliders)
+        face = Face(self.stage, self.prim)
+        face.__dict__ |= self.__dict__ | {name: getattr(changed, name) for name in (*OF_NEUTRAL, "sliders")}
+        for name in ("_rig", "head_height", "_identity"):
+            face.__dict__.pop(name, None)
+        return face
 
     def landmarks(self, scheme: str = "multipie68") -> tuple[Mesh, Landmarks]:
         """The mesh that has landmarks of `scheme`, and these.
@@ -274,6 +347,7 @@ class Face:
             materials=self.materials,
             attach_joint=self.attach_joint,
             person=self._text(tokens.PERSON) or None,
+            person_basis=None if self.person_basis is None else replace(self.person_basis, section=b""),
             attribution=self._text(tokens.ATTRIBUTION),
             vrm=vrm,
             photos=self.photos,
@@ -328,6 +402,15 @@ class Face:
         """
         if joint_transforms is not None and (sliders is not None or pose != "rest"):
             raise InputError(self.where, "a person and joint transforms, expected only one of them")
+        if (other := self if pose == "rest" and sliders is None else self.with_identity(sliders)) is not self:
+            return other.evaluate(
+                weights,
+                coefficients=coefficients,
+                joint_transforms=joint_transforms,
+                parent_world=parent_world,
+                sliders=sliders,
+                pose=pose,
+            )
         person = self._person_of(sliders, pose)
         if person is not None and coefficients is not None:
             # coefficients do not add, as angles of two turns don't: their matrices are multiplied

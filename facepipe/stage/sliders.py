@@ -1,4 +1,4 @@
-"""Sliders of a face and their learned network: read, checked and authored."""
+"""Sliders of a face, their learned network, and the basis whose modes they move: read, checked and authored."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
-from pxr import Usd
+from pxr import Usd, Vt
 
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reading import check_values
-from facepipe.parts import Curve, FaceParts, Slider, SliderNetwork
+from facepipe.parts import Curve, FaceParts, PersonBasis, Slider, SliderNetwork
 from facepipe.rig.sliders import curves_fault, network_fault, sliders_fault
 from facepipe.stage.prims import apply_schema, check_property_name, is_applied, put, put_value, remove_schema
 from facepipe.stage.values import floats, ints, reads_prim, same, to_floats
+
+_LONGEST_SECTION = 1 << 20  # bytes of a section
+_OF_BASIS = (tokens.PERSON_BASIS, tokens.PERSON_DIGEST, tokens.PERSON_SECTION)
 
 _NETWORK_PREFIX = tokens.NETWORK_LAYERS.rpartition(":")[0]
 
@@ -123,6 +126,35 @@ def author_network_change(prim: Usd.Prim, old: SliderNetwork | None, new: Slider
 
 
 @reads_prim
+def read_person_basis(prim: Usd.Prim) -> PersonBasis | None:
+    """What is on the face prim; None where there is none.
+
+    :raises SchemaError: a section that is too long
+    """
+    if not is_applied(prim, tokens.PERSON_API):
+        return None
+    name, digest, data = (prim.GetAttribute(one).Get() for one in _OF_BASIS)
+    section = b"" if data is None else np.asarray(data, np.uint8).tobytes()
+    if len(section) > _LONGEST_SECTION:
+        where = f"{prim.GetPath()}.{tokens.PERSON_SECTION}"
+        raise SchemaError(where, f"{len(section):,} bytes, expected at most {_LONGEST_SECTION:,}")
+    return PersonBasis(name=str(name or ""), digest=str(digest or ""), section=section)
+
+
+def author_person_basis(prim: Usd.Prim, basis: PersonBasis | None) -> None:
+    """Author a basis on the face prim, or hide that of weaker layers."""
+    if basis is None:
+        for name in _OF_BASIS:
+            put_value(prim, name, None)
+        remove_schema(prim, tokens.PERSON_API)
+        return
+    apply_schema(prim, tokens.PERSON_API)
+    section = Vt.UCharArray.FromNumpy(np.frombuffer(basis.section, np.uint8)) if basis.section else None
+    for name, value in zip(_OF_BASIS, (basis.name, basis.digest, section), strict=True):
+        put_value(prim, name, value)
+
+
+@reads_prim
 def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
     """The sliders applied to the face prim, by name.
 
@@ -159,9 +191,12 @@ def _slider(prim: Usd.Prim, name: str) -> Slider:
 
     joints, channels, gains = words("joints"), words("channels"), floats(value("channelGains")).tolist()
     shapes, shape_gains = words("shapes"), floats(value("shapeGains")).tolist()
+    modes, mode_gains = ints(value("modes")).tolist(), floats(value("modeGains")).tolist()
     where = _where(prim, name)
     if not len(joints) == len(channels) == len(gains) or len(shapes) != len(shape_gains):
         raise SchemaError(where, "joints, channels and gains (or shapes and gains) of different lengths")
+    if len(modes) != len(mode_gains) or min(modes, default=0) < 0:
+        raise SchemaError(f"{where}:modes", f"{len(modes)} modes and {len(mode_gains)} gains, expected as many, from 0")
     counts = [ints(value(field)).tolist() for field in ("channelKnots", "shapeKnots")]
     values, amounts = (floats(value(field)).tolist() for field in ("knotValues", "knotAmounts"))
     for field, own, expected in zip(("channelKnots", "shapeKnots"), counts, (len(joints), len(shapes)), strict=True):
@@ -186,6 +221,7 @@ def _slider(prim: Usd.Prim, name: str) -> Slider:
         channel_curves=_curves(knots, counts[0]),
         shape_curves=_curves(knots[sum(counts[0]) :], counts[1]),
         mirror=str(value("mirror") or "") or None,
+        modes=tuple(zip(modes, mode_gains, strict=True)),
     )
     if not slider.minimum <= slider.default <= slider.maximum:
         raise SchemaError(where, f"default {slider.default}, expected {slider.minimum} to {slider.maximum}")
@@ -231,6 +267,7 @@ def author_sliders(prim: Usd.Prim, sliders: Sequence[Slider]) -> None:
         for fields, rows in (
             (("joints", "channels", "channelGains"), slider.channels),
             (("shapes", "shapeGains"), slider.shapes),
+            (("modes", "modeGains"), slider.modes),
         ):
             for i, field in enumerate(fields):
                 put_value(prim, prefix + field, [row[i] for row in rows] if rows else None)

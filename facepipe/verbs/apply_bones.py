@@ -68,6 +68,7 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
     )
     clamp: bool = option(False, "bring coefficients into the bone limits of FACE")
     name: str | None = option(None, "name of the animation (default: the file's)")
+    as_section: bool = option(False, "keep a person as the payload's bytes over FACE's own points", flag="--section")
 
     def check(self) -> None:
         super().check()
@@ -81,6 +82,8 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
         recipe = job.recipe()
         if self.is_person():
             return self._person(face, recipe)
+        if self.as_section:
+            raise InputError("--section", f"given with bone coefficients ({self.coefficients}), expected a person")
         data = payload_bytes(self.coefficients)
         content = decode(data, face.skeleton.joints, self.coefficients)
         name = self.name or identifier(self.coefficients.stem)
@@ -117,10 +120,14 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
         return tuple(f"{self.coefficients}: left out: section of kind {kind}, not known" for kind in content.skipped)
 
     def _person(self, face: Face, recipe: Recipe) -> ApplyBonesReport:
-        from facepipe.verbs.apply_person import apply_person
+        from facepipe.verbs.apply_person import apply_person, keep_person
 
         content, basis, points = self.person(face)
-        authored, warnings = apply_person(face, points, basis, recipe=recipe)
+        warnings: tuple[str, ...] = ()
+        if self.as_section:
+            authored = keep_person(face, content, basis, recipe=recipe)
+        else:
+            authored, warnings = apply_person(face, points, basis, recipe=recipe)
         left_out = [*self.left_out_lines(content), *self._dress(face, content)]
         moved: ApplyBonesReport | None = None
         if content.coefficients:

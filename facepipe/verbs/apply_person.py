@@ -6,18 +6,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.nearby_points import NearbyPoints
-from facepipe.heads.asset import asset
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Recipe
-from facepipe.payload.person import PersonContent
+from facepipe.payload.person import PersonContent, encode_person
 from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.author_neutral import AuthorNeutral
-from facepipe.verbs.blend.rigs import rebase_animations
 from facepipe.verbs.person_basis import Basis, database_basis, head_basis, is_head, template_basis
-from facepipe.verbs.whole_faces import NEXT_MM, whole_points
+from facepipe.verbs.person_neutral import head_person_basis, settled, whole_with_others
 
 
 def basis_for(content: PersonContent, parts: FaceParts, where: object, name: str, database: Path | None) -> Basis:
@@ -49,44 +46,28 @@ def apply_person(
     :param points: (n, 3) millimetres, of the basis
     """
     parts = face.parts()
-    whole = _with_others(parts, basis, points)
-    rest = partial(_at_rest, parts, built_in=basis is head_basis() and _in_centimetres(parts))
-    report = AuthorNeutral(settled=rest)(face, whole, recipe=recipe or parts.recipe)
+    whole = whole_with_others(parts, basis, points)
+    report = AuthorNeutral(settled=partial(_at_rest, parts, basis))(face, whole, recipe=recipe or parts.recipe)
     return report.authored, report.warnings
 
 
-def _at_rest(parts: FaceParts, changed: FaceParts, *, built_in: bool) -> FaceParts:
-    if built_in:
-        from facepipe.heads.assembly import settled, skeleton
+def keep_person(face: Face, content: PersonContent, basis: Basis, *, recipe: Recipe | None = None) -> tuple[str, ...]:
+    """Put a person into the section of a face as the bytes of its shape: what was authored.
 
-        if parts.skeleton.joints == asset().joints:
-            # where a drawn person's are, and not where the template's were carried: up to 8 mm apart, 1.4 of a pose
-            body = np.concatenate([mesh.points for mesh in changed.meshes[: len(asset().parts)]])
-            own = skeleton(body)
-            joints = replace(parts.skeleton, bind_transforms=own.bind_transforms, rest_transforms=own.rest_transforms)
-            animations = rebase_animations(parts.animations, parts.skeleton, joints)
-            changed = replace(changed, skeleton=joints, animations=animations)
-        changed = settled(parts, changed)
+    Sliders and poses are at rest again, as of `apply_person`.
+
+    :raises InputError: a basis that a stage can't be read with: another than the built-in head's
+    """
+    if basis is not head_basis():
+        raise InputError(face.where, f"a section on {basis.name}, expected a person on {head_basis().name}")
+    parts = face.parts()
+    sliders = tuple(replace(slider, value=None) for slider in parts.sliders)
+    kept = head_person_basis(encode_person(replace(content, look=b"", pictures=(), coefficients=b"")))
+    return author_changes(
+        face, replace(parts, sliders=sliders, person=None, person_basis=kept, photos=(), recipe=recipe or parts.recipe)
+    )
+
+
+def _at_rest(parts: FaceParts, basis: Basis, changed: FaceParts) -> FaceParts:
     sliders = tuple(replace(slider, value=None) for slider in changed.sliders)
-    return replace(changed, sliders=sliders, person=None)
-
-
-def _in_centimetres(parts: FaceParts) -> bool:
-    """Whether the built-in head is as it was made, which its lids and cards are fitted as."""
-    names = [mesh.name for mesh in parts.meshes[: len(asset().parts)]]
-    return names == list(asset().parts) and (parts.meters_per_unit, parts.up_axis) == (0.01, "Y")
-
-
-def _with_others(parts: FaceParts, basis: Basis, points: FloatArray) -> FloatArray:
-    """(n, 3) whole points of a face whose meshes of the basis are at `points`; the others go with these."""
-    before = whole_points(parts)
-    cuts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
-    rows = {mesh.name: slice(*map(int, cuts[i : i + 2])) for i, mesh in enumerate(parts.meshes)}
-    known = np.concatenate([np.arange(rows[name].start, rows[name].stop) for name in basis.topology.names])
-    others = np.setdiff1d(np.arange(len(before)), known)
-    whole = before.copy()
-    whole[known] = points
-    if len(others):
-        near = NearbyPoints.of(before[others], before[known], NEXT_MM)
-        whole[others] += near.carried(points - before[known])
-    return whole
+    return replace(settled(parts, changed, basis), sliders=sliders, person=None)

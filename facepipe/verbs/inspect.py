@@ -151,13 +151,19 @@ def report_of(face: Face) -> InspectReport:
             name: sum(len(mesh.face_vertex_counts) for mesh in face.at_level(number).meshes)
             for number, name in enumerate(face.levels)
         },
-        person=face.person().description,
+        person=_person(face),
         attach_joint=parts.attach_joint,
         attribution=parts.attribution,
         recipe=parts.recipe.verb if parts.recipe else None,
         neural_rig=neural_rig,
         warnings=tuple(implausible(parts)),
     )
+
+
+def _person(face: Face) -> str:
+    """Who the face is, and the section that its neutral is of."""
+    basis, who = face.person_basis, face.person().description
+    return who if basis is None or not basis.section else f"{who}, on a section of {len(basis.section):,} bytes"
 
 
 def _file_lines(file: Mapping[str, Any]) -> list[str]:

@@ -34,11 +34,18 @@ class PersonLayer:
 
 
 def encode_points(
-    basis: Basis, points: FloatArray, *, within: float | None = None, most: int | None = None
+    basis: Basis,
+    points: FloatArray,
+    *,
+    within: float | None = None,
+    most: int | None = None,
+    weights: FloatArray | None = None,
 ) -> tuple[bytes, tuple[PersonLayer, ...]]:
     """The payload of whole points (n, 3) in millimetres, and what each of its layers gives.
 
     :param within: how far off a point may be; None: as near as `most` bytes allow
+    :param weights: of the first modes, without a placement of the whole; None: those that come nearest, with one if
+        that is worth its bytes
     """
     content = PersonContent(basis=basis.digest, modes=np.zeros(0, np.float16))
     layers: list[PersonLayer] = []
@@ -48,7 +55,7 @@ def encode_points(
         layers.append(PersonLayer(name=name, bytes=len(data), points=basis.rebuilt(changed, name)))
         return changed
 
-    weights, placement = _modes_and_placement(basis, points)
+    weights, placement = _modes_and_placement(basis, points) if weights is None else (weights, None)
     if placement is not None:
         content = add("placement", replace(content, placement=placement))
     if len(weights):
@@ -69,6 +76,20 @@ def encode_points(
     return encode_person(content), tuple(layers)
 
 
+def nearest_modes(basis: Basis, points: FloatArray) -> FloatArray:
+    """(k,) float16 weights of the modes that come nearest to points (n, 3) where these lie."""
+    rows, count = basis.fitted, len(basis.modes)
+    modes = basis.modes[:, rows].reshape(count, 3 * len(rows)).astype(np.float64)
+    found = _solved(modes, (points - basis.mean)[rows].ravel())
+    return np.clip(found, -LARGEST_WEIGHT, LARGEST_WEIGHT).astype(np.float16)
+
+
+def _solved(ways: FloatArray, to: FloatArray) -> FloatArray:
+    squares = ways @ ways.T
+    squares[np.diag_indices(len(ways))] += _RIDGE * squares.diagonal()
+    return np.asarray(np.linalg.solve(squares, ways @ to))
+
+
 def _modes_and_placement(basis: Basis, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     """(k,) float16 weights of the modes that come nearest to points (n, 3), and (7,) float32 where the whole lies if
     that is worth its bytes: blends and scans may stand anywhere.
@@ -80,10 +101,7 @@ def _modes_and_placement(basis: Basis, points: FloatArray) -> tuple[FloatArray, 
     modes = basis.modes[:, rows].reshape(count, 3 * len(rows)).astype(np.float64)
 
     def nearest(to: FloatArray, ways: FloatArray) -> FloatArray:
-        both = np.vstack([modes, ways])
-        squares = both @ both.T
-        squares[np.diag_indices(len(both))] += _RIDGE * squares.diagonal()
-        return np.asarray(np.linalg.solve(squares, both @ (to - basis.mean)[rows].ravel())[:count])
+        return _solved(np.vstack([modes, ways]), (to - basis.mean)[rows].ravel())[:count]
 
     def left(shown: FloatArray) -> float:
         return float(np.sqrt(((shown - points)[rows] ** 2).mean()))

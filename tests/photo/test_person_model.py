@@ -1,8 +1,9 @@
-"""Identity modes in a photo fit: the person is in the neutral and the sliders, and is nearer than the average head."""
+"""Identity modes in a photo fit: the person is in the sliders and a section, and is nearer than the average head."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts
 from facepipe.photo.fit.person_model import IdentityReport, PersonModel, person_model
-from facepipe.stage import Face, save_parts
+from facepipe.stage import save_parts
+from facepipe.verbs.person_basis import head_basis
 from facepipe.verbs.whole_faces import whole_points
 
 pytestmark = pytest.mark.needs_torch
@@ -45,29 +47,49 @@ def someone(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).normal(0.0, 0.7, len(asset().modes))
 
 
-def test_the_person_is_in_the_neutral_and_the_sliders(head: Path, model: PersonModel, tmp_path: Path) -> None:
+def test_the_person_is_in_the_sliders_and_a_section(head: Path, model: PersonModel, tmp_path: Path) -> None:
     from facepipe.photo.descent.subject import Subject
 
     person, sliders = model.points(someone(1)), Subject.of(model.parts).free_sliders
     before = facepipe.open(head)
-    with before.deriving(tmp_path / "person.usda") as face:
+    with before.deriving(tmp_path / "person.usdc") as face:
         values, report = model.author(face, someone(1), sliders)
-    face = facepipe.open(tmp_path / "person.usda")
-    np.testing.assert_allclose(10 * face.evaluate(sliders=values), person, rtol=0, atol=0.01)
-    left = np.linalg.norm(10 * before.evaluate(sliders=values) - person, axis=1)[model.face]
-    assert left.mean() == pytest.approx(report.beyond_sliders_mean_mm, abs=0.3)  # sliders turn and scale joints too
-    apart = np.linalg.norm(whole_points(model.parts) - person, axis=1)[model.face].mean()
-    assert report.beyond_sliders_mean_mm < 0.6 * apart
-    assert np.mean([abs(value) > 0.99 for value in values.values()]) <= 0.05
+    assert (tmp_path / "person.usdc").stat().st_size < 2_000
+    face = facepipe.open(tmp_path / "person.usdc")
+    seen = np.intersect1d(model.face, head_basis().fitted)
+    off, left = (np.linalg.norm((10 * one.evaluate(sliders=values) - person)[seen], axis=1) for one in (face, before))
+    assert off.mean() == pytest.approx(report.beyond_section_mean_mm, abs=1e-3)
+    assert off.mean() < 0.03
+    assert left.mean() == pytest.approx(report.beyond_sliders_mean_mm, abs=0.01)
+    assert left.mean() < 0.3
+    ranges = {slider.name: slider.maximum for slider in face.sliders}
+    assert np.mean([abs(value) >= ranges[name] for name, value in values.items()]) <= 0.02
     assert face.shapes == before.shapes
     assert [slider.name for slider in face.sliders] == [slider.name for slider in before.sliders]
+
+
+def test_a_head_without_sliders_of_modes_gets_the_person_as_its_neutral(model: PersonModel, tmp_path: Path) -> None:
+    from facepipe.photo.descent.subject import Subject
+
+    parts = make(0)
+    save_parts(replace(parts, sliders=tuple(one for one in parts.sliders if not one.modes)), tmp_path / "head.usdc")
+    found = person_model(facepipe.open(tmp_path / "head.usdc").parts(), "head")
+    assert found is not None
+    with facepipe.open(tmp_path / "head.usdc").deriving(tmp_path / "person.usda") as face:
+        values, report = found.author(face, someone(1), Subject.of(found.parts).free_sliders)
+    face = facepipe.open(tmp_path / "person.usda")
+    person = found.points(someone(1))
+    np.testing.assert_allclose(10 * face.evaluate(sliders=values), person, rtol=0, atol=0.01)
+    apart = np.linalg.norm(whole_points(found.parts) - person, axis=1)[found.face].mean()
+    assert report.beyond_sliders_mean_mm < 0.6 * apart
+    assert not report.section_bytes
 
 
 def test_a_blink_closes_the_eyes_of_the_person(head: Path, model: PersonModel, tmp_path: Path) -> None:
     wide = 2.0 * np.sign(someone(3))
     with facepipe.open(head).deriving(tmp_path / "person.usda") as face:
-        model.author(face, wide, ())
-    own = Face.from_parts(facepipe.open(tmp_path / "person.usda").parts())
+        values, _ = model.author(face, wide, ())
+    own = facepipe.open(tmp_path / "person.usda").with_identity(values)
     average = facepipe.open(head)
     closed = [face.evaluate({"eyeBlinkLeft": 1.0}) - face.evaluate() for face in (own, average)]
     gap = lid_gap(own.evaluate({"eyeBlinkLeft": 1.0}))

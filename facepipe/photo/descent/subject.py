@@ -148,7 +148,8 @@ class Subject:
             driven = {shape for shape, _ in slider.shapes}
             acts = bool(driven or slider.channels or slider.name in learned)
             driven |= {shape for shape, change in learned.get(slider.name, {}).items() if change > _SEEN}
-            if acts and slider.maximum > slider.minimum and not driven & names:
+            # modes are fitted as such (`PersonModel`)
+            if acts and not slider.modes and slider.maximum > slider.minimum and not driven & names:
                 free.append(i)
         needed = independent([parts.sliders[i] for i in free])
         free = [i for i, own in zip(free, needed, strict=True) if own or parts.sliders[i].name in learned]

@@ -189,10 +189,11 @@ class AuthorPhotoFit:
         wanted = [*sorted(taken), *(Path(photo.name).stem for photo in photos)]
         names = unique_identifiers(wanted, "photo")[len(taken) :]
         neutral = next(animation for animation in changed.animations if animation.name == self.name)
-        points = face.evaluate(sliders=values)
+        person = face.with_identity(values)
+        points = person.evaluate(sliders=values)
         views = tuple(_view(face, *one, fit, points) for one in zip(names, photos, fit.views, strict=True))
         poses = [
-            _pose(changed, gaze(face, values, view), neutral, name, view)
+            _pose(changed, gaze(person, values, view), neutral, name, view)
             for name, view in zip(names, fit.views, strict=True)
         ]
         animations = (*changed.animations, *poses)

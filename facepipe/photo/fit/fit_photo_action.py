@@ -205,8 +205,11 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
             weights = np.array([fit.sliders[name] for name in model.names])
             values, identity = model.author(face, weights, sliders)
             fit, face = replace(fit, sliders=values), Face(face.stage, face.prim)
+        # sliders over modes that were not fitted were of whom the face was before
+        others = {slider.name: slider.default for slider in parts.sliders if slider.modes}
+        fit = replace(fit, sliders={**others, **fit.sliders})
         report = AuthorPhotoFit()(face, fit, inputs.photos, recipe=recipe)
-        fitted = Fitted(parts=parts if model is None else face.parts(), fit=fit, inputs=inputs)
+        fitted = Fitted(parts=face.with_identity(fit.sliders).parts(), fit=fit, inputs=inputs)
         unseen = unseen_regions(fitted)
         at_limit = []  # sliders that the fit moved from their default to an end of their range
         for slider in parts.sliders:
@@ -365,9 +368,12 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         last = f"{moved} of {len(off)} sliders off their defaults: {_largest(off, spans, report.sliders)}"
         lines = [head, table(rows), last]
         if report.identity is not None:
+            one = report.identity
+            where = f"a section of {one.section_bytes} bytes" if one.section_bytes else "the neutral"
+            beyond = f", and leaves {one.beyond_section_mean_mm:.2f} mm" if one.section_bytes else ""
             lines.append(
-                f"sliders leave {report.identity.beyond_sliders_mean_mm:.2f} mm of the person (mean), at most "
-                f"{report.identity.beyond_sliders_max_mm:.2f} mm, which is in the neutral"
+                f"sliders leave {one.beyond_sliders_mean_mm:.2f} mm of the person (mean), at most "
+                f"{one.beyond_sliders_max_mm:.2f} mm, which is in {where}{beyond}"
             )
         if judged and report.similarity_fitted:
             lines.append("the similarity is to a network that the fit was drawn to: --identity 0 keeps them apart")

@@ -33,6 +33,7 @@ _SLIDER_SPREAD = 0.15  # of its range: standard deviation of a slider
 _APART_MM = 1.0  # what sliders may leave of a person's shape at a place
 _PLACES = 100  # that are independent of each other
 _RARE = 3.09  # quantile of the normal distribution of one in a thousand
+_WITHIN_MM = 0.1  # what points of the section may be off: lids by the eyeballs
 _ROUNDS = 2  # in which joints under sliders settle
 
 
@@ -44,6 +45,9 @@ class IdentityReport(Report):
     deviations: float  # root mean square of the modes' weights, in standard deviations; 1 is usual for a random person
     beyond_sliders_mean_mm: float  # of the face: what its own sliders don't show, which is in the neutral
     beyond_sliders_max_mm: float
+    section_bytes: int = 0  # of the neutral, where sliders over the modes carry the person; 0: it is in the points
+    beyond_section_mean_mm: float = 0.0  # of the face: what the section leaves too
+    beyond_section_max_mm: float = 0.0
 
     @property
     def usual(self) -> float:
@@ -108,11 +112,31 @@ class PersonModel:
     ) -> tuple[dict[str, float], IdentityReport]:
         """Put the person into the neutral of `face`, and find the values of its own sliders that stand for most of it.
 
+        Where sliders over the modes carry all of it, what little they leave goes into the face's section.
+
         With these values the face is the person; what they don't show is in the neutral. A new `Face` reads it.
 
         :param sliders: that may move, those of who a person is
         """
         person, change = self.points(weights), AuthorNeutral().changed
+        if self.built_in:
+            from facepipe.verbs.person_sliders import person_sliders, shows_people
+
+            if shows_people(face.parts()):
+                found = person_sliders(face.sliders, person[: self.count], weights=weights, within=_WITHIN_MM)
+                author_changes(face, replace(face.parts(), person_basis=found.basis))
+                seen = np.intersect1d(self.face, found.rows)  # without the mouth's inside
+                off, left = (np.linalg.norm(one[seen], axis=1) for one in (found.sliders_left, found.left))
+                report = IdentityReport(
+                    modes=len(weights),
+                    deviations=float(np.sqrt(np.mean(weights**2))),
+                    beyond_sliders_mean_mm=float(off.mean()),
+                    beyond_sliders_max_mm=float(off.max()),
+                    section_bytes=len(found.basis.section),
+                    beyond_section_mean_mm=float(left.mean()),
+                    beyond_section_max_mm=float(left.max()),
+                )
+                return found.values, report
         wanted, values = (person - whole_points(self.parts))[self.face], dict[str, float]()
         beyond = wanted
         if sliders:

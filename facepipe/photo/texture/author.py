@@ -271,12 +271,12 @@ def author_textures(
         textures or landmarks
     """
     with watch("bake", len(photos) + 2) as bar, one_thread():
-        neutral, parts = face.evaluate(pose="set"), face.parts()
+        neutral, parts, person = face.evaluate(pose="set"), face.parts(), face.with_identity()
         skin = skin_of(parts, neutral, size)
         bar.update()
         cards, exposures, posed = hair_cards(skin, face.meshes, face.materials, neutral), [], []
         for view, path in photos:
-            points, pixels = _seen(face, view, path)
+            points, pixels = _seen(person, view, path)
             exposure = expose(skin, view, pixels, points)
             exposures.append(replace(exposure, eye_whites=eye_whites(parts, exposure)))
             posed.append(points[skin.span])

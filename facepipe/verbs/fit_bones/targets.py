@@ -14,6 +14,7 @@ from facepipe.core.names import identifier, suggestion, unique_identifiers, unkn
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build, person_of, sample_transforms, sample_weights
+from facepipe.rig.identity import with_identity
 from facepipe.stage import Face, open_face
 from facepipe.stage.controls_over_time import read_loose_animations, read_point_cache
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
@@ -172,7 +173,7 @@ def _neutral(
     parts: FaceParts, called: str, other: FaceParts, where: str, only: str = "", *, triangles: bool = False
 ) -> Target:
     """The neutral of another face, as it is set."""
-    person = person_of(other)
+    person, other = person_of(other), with_identity(other)
     points = build(other).evaluate(person.weights, coefficients=person.coefficients)
     moved = _to_world(parts, points[None], other.meters_per_unit, other.up_axis)
     return _matched(parts, called, other.meshes, moved, None, where, only, triangles=triangles)
@@ -187,7 +188,7 @@ def _animation(parts: FaceParts, called: str, path: Path, name: str, has_face: b
         raise InputError(path, unknown(name, [animation.name for animation in animations], "animation"))
     if has_face:
         other = open_face(path)
-        points, times = _sampled(other, name)
+        points, times = _sampled(other.with_identity(), name)
         moved = _to_world(parts, points, other.meters_per_unit, other.up_axis)
         return _matched(parts, called, other.meshes, moved, times, str(path))
     animation, rig = named[name], build(parts)

@@ -257,6 +257,7 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
         raise InputError(face.where, "has levels of detail, expected a face without (or --edit, to make them anew)")
     if not any(len(mesh.face_vertex_counts) for mesh in face.meshes):
         raise InputError(face.where, "no triangles, expected a surface")
+    face = face.with_identity()
     # with the texture coordinates of the prims: the materials, which stay, move them as they do those of the face
     surface = Surface(replace(face.parts(), meshes=face.meshes), face.rig())
     total = len(surface.triangles)

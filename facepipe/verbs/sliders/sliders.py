@@ -11,6 +11,9 @@ reach, in millimetres. Exit code 1: done, but sliders were left out whose bones 
 --from-network puts a learned network beside the sliders: from the values of some it adds to bone coefficients and shape
 weights. The .npz file holds sliders, outputs (joint:channel or shape:NAME), layer0.weight, layer0.bias and so on.
 
+--person sets the values that a person has as its own, of a payload (.fpb) or a face of the built-in head: measures show
+what it measures, identity sliders carry the rest, and what even they leave is the neutral, as bytes on the stage.
+
 --set writes slider values and poses the face: a SkelAnimation of all that its sliders drive, which the skeleton plays.
 Sliders that are not named keep their values. Exit code 1: done, but the pose is beyond the bone limits of FACE.
 
@@ -21,6 +24,7 @@ examples:
   facepipe sliders head.usdc --from table.toml -o controls.usda
   facepipe sliders head.usdc --from-shapes 'nose_*,mouth_*' --limits face_bones.json -o controls.usda
   facepipe sliders head.usdc --from-network learned.npz -o learned.usda
+  facepipe sliders head.usdc --person anna.fpb -o anna.usdc
   facepipe sliders head.usdc --set noseWidth=0.8 --set browArchLeft=1 --mirror -o person.usdc
 """
 
@@ -56,6 +60,9 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
     network: Path | None = source(
         "learned network to put beside the sliders: .npz", default=None, flag="--from-network", metavar="NPZ"
     )
+    person: Path | None = source(
+        "person whose own values to set: .fpb, or a face", default=None, flag="--person", metavar="FILE"
+    )
     shapes: str | None = option(
         None,
         "sliders to make of blendshapes, all or those of these names",
@@ -81,7 +88,12 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
     @property
     def ways(self) -> tuple[str, ...]:
         """The flags of what is to be done; one, where the action is whole."""
-        given = {"--from": self.table, "--from-shapes": self.shapes, "--from-network": self.network}
+        given = {
+            "--from": self.table,
+            "--from-shapes": self.shapes,
+            "--from-network": self.network,
+            "--person": self.person,
+        }
         setting = ("--set",) if self.values else ("--reset",) if self.reset else ()
         return (*(flag for flag, value in given.items() if value is not None), *setting)
 
@@ -97,7 +109,8 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
         super().check()
         ways = self.ways
         if not ways:
-            raise InputError("sliders", "nothing to do, expected --from, --from-shapes, --from-network or --set")
+            ways_there = "--from, --from-shapes, --from-network, --person or --set"
+            raise InputError("sliders", f"nothing to do, expected {ways_there}")
         if len(ways) > 1:
             raise InputError(ways[0], f"given with {ways[1]}, expected only one of them")
         if self.drop and ways[0] not in ("--from", "--from-shapes"):
@@ -135,6 +148,10 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
             from facepipe.verbs.sliders.tables import read_table
 
             return AuthorSliders(table=read_table(self.table), drop=self.drop)(face, recipe=job.recipe())
+        if self.person is not None:
+            from facepipe.verbs.sliders.set_person_sliders import SetPersonSliders
+
+            return SetPersonSliders(person=self.person, name=self.name)(face, recipe=job.recipe())
         from facepipe.core.names import named
         from facepipe.verbs.sliders.author_sliders import SetSliders
 

@@ -312,7 +312,7 @@ def test_a_pose_beyond_limits_is_written_and_reported(folder: Path, capsys: Caps
         (("--set", "open=1", "--name", "my pose"), "'my pose' is no name of a prim"),
         (("--set", "open=1", "--replace"), "--replace: given without --from"),
         (("--reset", "--mirror"), "--mirror: given without --set"),
-        ((), "-o: given without --from, --from-shapes, --from-network or --set"),
+        ((), "-o: given without --from, --from-shapes, --from-network, --person or --set"),
         (("--set", "open=1", "--name", "talk"), "has a clip 'talk' already, expected another name"),
     ],
 )
