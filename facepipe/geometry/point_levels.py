@@ -23,7 +23,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals
 from facepipe.payload.basis import WHOLE, Level
-from facepipe.payload.range_coder import BitReader, BitWriter
+from facepipe.payload.range_coder import KINDS_OF_SIZES, BitReader, BitWriter
 
 _GRID = 1000  # places in a millimetre that count: distances are whole numbers, so that every reader ranks them alike
 _NORMAL = 4  # edges that opposite normals count as apart, by half
@@ -36,7 +36,6 @@ _NARROW = 3.0  # exponent of the weight that the farthest neighbour loses
 _FINER = 1.15  # times finer steps at each coarser level, on which more points depend
 _DEAD = 0.53  # of a step: less is rounded to none, which costs little
 _NEAR = 4  # neighbours whose steps tell how many a point has
-_LONG = 14  # steps that are counted one by one
 _HEAD = struct.Struct("<fB")  # step in millimetres, levels sent
 _MOST_OFFSET = 1e4  # millimetres
 
@@ -45,8 +44,7 @@ _AROUND = 4
 _MOVES = 1  # after that of whole levels
 _AXES = _MOVES + _AROUND
 _STEPS = _AXES + 3 * 2 * _AROUND
-_KINDS_OF_STEPS = 6
-_CONTEXTS = _STEPS + _KINDS_OF_STEPS * _AROUND
+_CONTEXTS = _STEPS + KINDS_OF_SIZES * _AROUND
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,10 +286,7 @@ def _write(writer: BitWriter, steps: IntArray, around: list[int]) -> None:
                 continue
             before = 1
             writer.number(value < 0, 1)
-            for step in range(1, min(size, _LONG) + (size < _LONG)):
-                writer.bit(_STEPS + (min(step, _KINDS_OF_STEPS) - 1) * _AROUND + near, size > step)
-            if size >= _LONG:
-                writer.growing(size - _LONG)
+            writer.size(size, _STEPS + near, _AROUND)
 
 
 def _read(reader: BitReader, around: list[int]) -> IntArray:
@@ -306,10 +301,7 @@ def _read(reader: BitReader, around: list[int]) -> IntArray:
         for axis in range(3):
             if (axis < 2 or before) and not reader.bit(_AXES + (2 * axis + before) * _AROUND + near):
                 continue
-            before, negative, size = 1, reader.number(1), 1
-            while size < _LONG and reader.bit(_STEPS + (min(size, _KINDS_OF_STEPS) - 1) * _AROUND + near):
-                size += 1
-            if size == _LONG:
-                size += reader.growing()
+            before, negative = 1, reader.number(1)
+            size = reader.size(_STEPS + near, _AROUND)
             steps[row, axis] = -size if negative else size
     return steps

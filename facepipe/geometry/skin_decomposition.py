@@ -65,7 +65,7 @@ def decompose(
     :param step: called after every round
     """
     solver = _Solver(rest, shapes, edges, candidates, weights, evenness)
-    kept = np.where(_largest(weights, most), weights, 0.0)
+    kept = np.where(largest(weights, most), weights, 0.0)
     current = np.asarray(kept / kept.sum(axis=1, keepdims=True))
     solver.settle(current)
     before = after = solver.residuals(current)
@@ -100,7 +100,7 @@ class _Solver:
         self._R = np.tile(np.eye(3), (self._count, len(shapes), 1, 1))
         self._t = np.zeros((self._count, len(shapes), 3))
         self._uses = [np.nonzero((candidates == joint) & self.allowed) for joint in range(self._count)]
-        self._neighbours = _neighbours(edges, len(rest))
+        self._neighbours = neighbour_means(edges, len(rest))
         self._pull = evenness * float((self._motion**2).sum(axis=(0, 2)).mean()) + np.finfo(np.float64).tiny
 
     def settle(self, weights: FloatArray) -> None:
@@ -160,7 +160,7 @@ class _Solver:
         unlikely = np.clip(_LIKELY_WEIGHT / np.maximum(self._first, 1e-12) - 1.0, 0.0, _HIGHEST_PRICE)
         whole = self._solved(start, towards, self.allowed, unlikely)
         even = np.where(self.allowed, whole + self._neighbour_means(whole), 0.0)
-        chosen = _largest(even, most)
+        chosen = largest(even, most)
         left_out = np.where(chosen, 0.0, even).max(axis=1, keepdims=True)
         close = np.minimum(left_out / np.maximum(even - left_out, 1e-12), _HIGHEST_PRICE)
         return self._solved(np.where(chosen, whole, 0.0), towards, chosen, unlikely + close)
@@ -183,7 +183,7 @@ class _Solver:
             goal = self._motion[:, part].transpose(1, 0, 2).reshape(count, -1, 1)
             gram, linear = columns @ columns.transpose(0, 2, 1), (columns @ goal)[:, :, 0]
             gram[:, diagonal, diagonal] += self._pull * (1.0 + np.where(allowed[part], price[part], 0.0))
-            minima[part] = _on_simplex(gram, linear + self._pull * towards[part], start[part], allowed[part])
+            minima[part] = on_simplex(gram, linear + self._pull * towards[part], start[part], allowed[part])
         return minima
 
     def _neighbour_means(self, weights: FloatArray) -> FloatArray:
@@ -193,7 +193,7 @@ class _Solver:
         return np.take_along_axis(self._neighbours @ table, self._candidates, axis=1)
 
 
-def _neighbours(edges: IntArray, count: int) -> Any:
+def neighbour_means(edges: IntArray, count: int) -> Any:
     """(n, n) sparse means over the neighbours; a point without any is its own."""
     from scipy.sparse import csr_array, diags_array
 
@@ -204,7 +204,7 @@ def _neighbours(edges: IntArray, count: int) -> Any:
     return diags_array(1.0 / table.sum(axis=1)) @ table
 
 
-def _on_simplex(gram: FloatArray, linear: FloatArray, start: FloatArray, allowed: BoolArray) -> FloatArray:
+def on_simplex(gram: FloatArray, linear: FloatArray, start: FloatArray, allowed: BoolArray) -> FloatArray:
     """(n, k) minima of ``w G w / 2 - b w`` over the simplex of the allowed: accelerated projected gradient."""
     bound = np.abs(gram).sum(axis=2).max(axis=1)[:, None]
     current = ahead = _projected(start, allowed)
@@ -229,7 +229,7 @@ def _projected(rows: FloatArray, allowed: BoolArray) -> FloatArray:
     return np.asarray(np.maximum(values - level[:, None], 0.0))
 
 
-def _largest(weights: FloatArray, most: int) -> BoolArray:
+def largest(weights: FloatArray, most: int) -> BoolArray:
     """(n, k) the `most` largest of each row, of those above 0."""
     rank = np.argsort(np.argsort(-weights, axis=1, kind="stable"), axis=1, kind="stable")
     return np.asarray((rank < most) & (weights > 0))

@@ -25,10 +25,12 @@ Planes = npt.NDArray[np.uint8]
 
 MAGIC, VERSION = b"FPBA", 1
 DIGEST = 8  # bytes
-NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS = 1, 2, 3, 4, 5, 6, 7  # kinds of sections
+NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS = 1, 2, 3, 4, 5, 6, 7, 8  # kinds of sections
 WHOLE = 64  # shares of a point's neighbours are so many-th, in sum 1
 _FINEST = 1_000_000  # places in a millimetre
 _HEADER = struct.Struct("<4sHH8sI")  # magic, version, flags, digest, bytes of the body
+FULL = 255  # of a point's weights, in sum
+_FARTHEST = 1e5  # millimetres
 MOST_BYTES = 1 << 28  # of a body
 _MOST_POINTS = 1 << 20
 _BLOCK = 1 << 20  # numbers that are predicted at a time, which stay in the cache
@@ -64,6 +66,15 @@ class JointPlace(NamedTuple):
     shares: FloatArray  # (k,) float32
 
 
+class JointWeights(NamedTuple):
+    """Joints that carry what modes leave of people, and the weights of n points one after another."""
+
+    first: int  # point
+    places: FloatArray  # (j, 3) float32 millimetres
+    indices: npt.NDArray[np.uint8]  # (n, k) joints of each point
+    weights: npt.NDArray[np.uint8]  # (n, k) in sum FULL
+
+
 @dataclass(frozen=True, kw_only=True)
 class BasisContent:
     """What a basis is, of n points."""
@@ -79,6 +90,7 @@ class BasisContent:
     modes: npt.NDArray[np.int16]  # (k, 3, n) steps of a standard deviation
     parts: tuple[RigidRows, ...] = ()
     joints: tuple[JointPlace, ...] = ()
+    identity_joints: JointWeights | None = None
 
     @property
     def mean(self) -> FloatArray:
@@ -103,6 +115,7 @@ def basis_body(content: BasisContent) -> bytes:
             *([Section(MODES, _modes_bytes(content))] if len(content.modes) else []),
             *([Section(PARTS, b"".join(map(_part_bytes, content.parts)))] if content.parts else []),
             *([Section(JOINTS, _text_rows(map(_joint_bytes, content.joints)))] if content.joints else []),
+            *([Section(IDENTITY_JOINTS, _weights_bytes(own))] if (own := content.identity_joints) else []),
         ]
     )
 
@@ -223,6 +236,12 @@ def _joint_bytes(joint: JointPlace) -> tuple[str, bytes]:
     return joint.path, bytes([len(joint.points)]) + points + shares
 
 
+def _weights_bytes(own: JointWeights) -> bytes:
+    count, each = own.indices.shape
+    head = struct.pack("<BBII", len(own.places), each, own.first, count) + own.places.astype("<f4").tobytes()
+    return head + np.ascontiguousarray(own.indices.T).tobytes() + np.ascontiguousarray(own.weights.T).tobytes()
+
+
 class _Reader:
     """Sections as a basis, every count checked before memory is taken."""
 
@@ -259,6 +278,7 @@ class _Reader:
             modes=np.zeros((0, 3, count), np.int16),
             parts=self._parts(count) if PARTS in self._sections else (),
             joints=self._joints(count) if JOINTS in self._sections else (),
+            identity_joints=self._identity_joints(count) if IDENTITY_JOINTS in self._sections else None,
         )
         if MODES not in self._sections:
             return found
@@ -341,6 +361,20 @@ class _Reader:
                 raise self._wrong(f"joint '{path}' of points that are not there, expected at most {points}")
             joints.append(JointPlace(path, rows, shares.astype(np.float64)))
         return tuple(joints)
+
+    def _identity_joints(self, points: int) -> JointWeights:
+        self._open(IDENTITY_JOINTS)
+        joints, each, first, count = struct.unpack("<BBII", self._take(10))
+        if not joints or not each or not count or first + count > points:
+            raise self._wrong(f"{joints} joints, {each} a point, points {first} to {first + count}, of {points}")
+        places = self._numbers("<f4", 3 * joints).reshape(joints, 3)
+        indices, weights = (self._numbers("u1", each * count).reshape(each, count).T for _ in range(2))
+        self._end()
+        if not (np.abs(places) <= _FARTHEST).all() or indices.max() >= joints:
+            raise self._wrong(f"places or joints of points that are not there, expected joints below {joints}")
+        if (weights.sum(axis=1, dtype=np.int64) != FULL).any():
+            raise self._wrong(f"weights of a point whose sum is not {FULL}")
+        return JointWeights(first, places, indices, weights)
 
     def _open(self, kind: int) -> None:
         self._kind, self._data, self._at = kind, self._sections[kind], 0

@@ -8,20 +8,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.payload.basis import DIGEST
 from facepipe.payload.sections import Section, pack, unpack
+from facepipe.payload.small_numbers import decode_numbers, encode_numbers
 
-BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS = 1, 2, 3, 4, 5, 6  # kinds
+BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS = 1, 2, 3, 4, 5, 6, 7  # kinds
 LOOK, PICTURES, COEFFICIENTS = 9, 10, 11  # which readers may leave out
-_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, LOOK, PICTURES, COEFFICIENTS)
+_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS, LOOK, PICTURES, COEFFICIENTS)
 _TURN = slice(3, 6)  # of a placement
 MOST_MODES = 4096
 MOST_PARTS = 16
 MOST_PICTURES = 16
 _LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale
 LARGEST_WEIGHT = 100.0  # standard deviations
+LARGEST_STEPS = 127  # of a coefficient of an identity joint
+LARGEST_STEP = 10.0  # millimetres
+_JOINTS_HEAD = struct.Struct("<eB")  # step in millimetres, joints
 _ROUNDED = 1.002  # square of a half turn's axis in float16, at most
 
 
@@ -38,6 +42,8 @@ class PersonContent:
     placement: FloatArray | None = None  # (7,) float32 of the whole face
     parts: FloatArray = field(default_factory=lambda: np.zeros((0, 7), np.float16))  # (p, 7) of parts that keep shape
     points: bytes = b""  # of `PointLevels`
+    joints: IntArray = field(default_factory=lambda: np.zeros((0, 9), np.int64))  # (j, 9) steps of identity joints
+    step: float = 0.0  # float16, millimetres: of `joints`
     look: bytes = b""  # of the head's, as `facepipe.heads.look_code` has it
     pictures: tuple[tuple[str, bytes], ...] = ()  # material, and WebP of its colours
     coefficients: bytes = b""  # a payload of bone coefficients, on top of the person
@@ -63,6 +69,9 @@ def encode_person(content: PersonContent) -> bytes:
             sections.append(Section(MOVED_PARTS, np.delete(parts, _TURN, axis=1).tobytes()))
     if content.points:
         sections.append(Section(POINTS, content.points))
+    if len(content.joints):
+        step, joints = _checked_joints(content.step, content.joints, where)
+        sections.append(Section(JOINTS, _JOINTS_HEAD.pack(step, len(joints)) + encode_numbers(joints)))
     if content.look:
         sections.append(Section(LOOK, content.look, required=False))
     if content.pictures:
@@ -97,6 +106,7 @@ def decode_person(data: bytes, where: object) -> PersonContent:
     if MOVED_PARTS in found:
         still = _numbers(found[MOVED_PARTS], "<f2", 4, MOST_PARTS, trail).reshape(-1, 4)
         parts = np.insert(still, [3, 3, 3], 0, axis=1)
+    step, joints = _joints(found.get(JOINTS), f"{where} -> joints")
     modes = _numbers(found.get(MODES), "<f2", 1, MOST_MODES, f"{where} -> modes")
     return PersonContent(
         basis=digest,
@@ -104,6 +114,8 @@ def decode_person(data: bytes, where: object) -> PersonContent:
         placement=_checked_moves(placement, where)[0] if len(placement) else None,
         parts=_checked_moves(parts, where),
         points=_data(found, POINTS),
+        joints=joints,
+        step=step,
         look=_data(found, LOOK),
         pictures=_pictures(_data(found, PICTURES), f"{where} -> pictures"),
         coefficients=_data(found, COEFFICIENTS),
@@ -134,6 +146,29 @@ def _pictures(data: bytes, where: str) -> tuple[tuple[str, bytes], ...]:
             raise InputError(where, f"picture {len(rows) + 1} of {size} bytes, where {len(data)} are left, {most}")
         rows[name], data = data[end + 4 : end + 4 + size], data[end + 4 + size :]
     return tuple(rows.items())
+
+
+def _joints(section: Section | None, where: str) -> tuple[float, IntArray]:
+    """Step and (j, 9) numbers of the identity joints; none where there is no section."""
+    if section is None:
+        return 0.0, np.zeros((0, 9), np.int64)
+    if len(section.data) < _JOINTS_HEAD.size:
+        raise InputError(where, f"{len(section.data)} bytes, expected at least {_JOINTS_HEAD.size}")
+    step, count = _JOINTS_HEAD.unpack_from(section.data)
+    if not count:
+        raise InputError(where, "no joints, expected at least one")
+    numbers = decode_numbers(section.data[_JOINTS_HEAD.size :], count, where)
+    return _checked_joints(step, numbers, where)
+
+
+def _checked_joints(step: float, numbers: IntArray, where: object) -> tuple[float, IntArray]:
+    if not 0 < step <= LARGEST_STEP:
+        raise InputError(where, f"steps of {step:g} mm, expected more than 0 and at most {LARGEST_STEP:g}")
+    beyond = np.abs(numbers).max(axis=1)
+    if not beyond.max() <= LARGEST_STEPS:
+        joint = int(np.argmax(beyond))
+        raise InputError(f"{where} -> joint {joint}", f"{beyond[joint]} steps, expected at most {LARGEST_STEPS}")
+    return step, numbers
 
 
 def _numbers(section: Section | None, kind: str, each: int, most: int, where: str) -> FloatArray:

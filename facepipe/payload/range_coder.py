@@ -16,6 +16,8 @@ _BITS = 12  # of a probability that divide the range
 _TOP, _FULL = 1 << 24, (1 << 32) - 1
 _MARGIN = 4  # bytes of the last number; a writer leaves out the zeros that it ends in
 _LARGEST = 15  # bits of a number: 32767 at most
+_LONG = 14  # of a size, which is counted one by one up to here
+KINDS_OF_SIZES = 6  # contexts of a size
 
 
 def _split(span: int, likely: int) -> int:
@@ -74,6 +76,13 @@ class BitWriter:
             self.number(1, 1)
         self.number(0, 1)
         self.number(value + 1 - (1 << (length - 1)), length - 1)
+
+    def size(self, size: int, context: int, stride: int) -> None:
+        """Write a number of 1 or more in KINDS_OF_SIZES contexts, each a stride from the one before."""
+        for count in range(1, min(size, _LONG) + (size < _LONG)):
+            self.bit(context + (min(count, KINDS_OF_SIZES) - 1) * stride, size > count)
+        if size >= _LONG:
+            self.growing(size - _LONG)
 
     def bytes(self) -> bytes:
         """All that was written. Nothing is written after it."""
@@ -150,6 +159,13 @@ class BitReader:
             if length > _LARGEST:
                 raise InputError(self._where, f"a number of more than {_LARGEST} bits, expected small ones")
         return (1 << length) - 1 + self.number(length)
+
+    def size(self, context: int, stride: int) -> int:
+        """The next number that `BitWriter.size` wrote."""
+        size = 1
+        while size < _LONG and self.bit(context + (min(size, KINDS_OF_SIZES) - 1) * stride):
+            size += 1
+        return size + self.growing() if size == _LONG else size
 
     def _fill(self) -> None:
         while self._span < _TOP:

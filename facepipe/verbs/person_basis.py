@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +20,12 @@ from facepipe.parts import FaceParts
 from facepipe.payload.basis import MOST_BYTES, BasisContent, MeshRun, RigidRows, basis_body, decode_basis, digest_of
 from facepipe.payload.person import PersonContent
 from facepipe.registry import databases
+from facepipe.rig.identity_joints import IdentityJoints, coefficients_of_steps
 from facepipe.rig.trs import rotation_matrices
 from facepipe.verbs.whole_faces import Topology, in_order, whole_points
+
+if TYPE_CHECKING:
+    from facepipe.verbs.person_joints import JointFit
 
 BASIS_SUFFIX = ".fpbasis"
 _STEP = 0.01  # millimetres of a database's modes, at least
@@ -31,7 +36,10 @@ MOUTH = slice(11248, 13294)  # points of the built-in head: the mouth's inside, 
 
 @dataclass(frozen=True, kw_only=True)
 class Basis:
-    """``points = mean + sum_k w_k modes_k``, then the placement of the whole, those of parts, and offsets of points."""
+    """``points = mean + sum_k w_k modes_k``, what identity joints add, placements of the whole and of parts, offsets.
+
+    Identity joints are about the mean and come before the placement of the whole: who is turned has the same ones.
+    """
 
     topology: Topology
     content: BasisContent  # of n points, k modes
@@ -49,6 +57,22 @@ class Basis:
         return self.content.mean
 
     @cached_property
+    def joints(self) -> IdentityJoints | None:
+        """Those that carry what modes leave of people."""
+        own = self.content.identity_joints
+        if own is None:
+            return None
+        rows = np.arange(own.first, own.first + len(own.indices))
+        weights = own.weights / own.weights.sum(axis=1, keepdims=True, dtype=np.float64)
+        return IdentityJoints(
+            rows=rows,
+            points=self.mean[rows],
+            places=own.places.astype(np.float64),
+            indices=own.indices.astype(np.int64),
+            weights=weights,
+        )
+
+    @cached_property
     def modes(self) -> npt.NDArray[np.float32]:
         """(k, n, 3) millimetres."""
         return np.ascontiguousarray(self.content.modes.transpose(0, 2, 1)) * np.float32(self.content.step)
@@ -62,6 +86,15 @@ class Basis:
     def levels(self) -> PointLevels:
         """Of the points that may have offsets: all but those that stay the mean's."""
         return PointLevels(count=len(self.mean), first=self.content.coarsest, levels=self.content.levels)
+
+    @cached_property
+    def joint_fit(self) -> JointFit | None:
+        """What fits identity joints, if there are any."""
+        if self.joints is None:
+            return None
+        from facepipe.verbs.person_joints import JointFit
+
+        return JointFit(self.mean, self.modes, self.fitted, self.joints)
 
     def known(self, parts: FaceParts, where: str) -> FaceParts:
         """The meshes of a face that the basis has, in its order.
@@ -80,6 +113,9 @@ class Basis:
             raise InputError(where, f"{len(content.modes)} modes, expected at most the {len(self.modes)} of its basis")
         if len(content.parts) not in (0, len(self.rigid)):
             raise InputError(where, f"{len(content.parts)} parts, expected the {len(self.rigid)} of its basis or none")
+        count = 0 if self.joints is None else len(self.joints.places)
+        if len(content.joints) > count:
+            raise InputError(where, f"{len(content.joints)} joints, expected at most the {count} of its basis")
 
     def rebuilt(self, content: PersonContent, where: object) -> FloatArray:
         """(n, 3) points of a person.
@@ -88,6 +124,8 @@ class Basis:
         """
         self.check(content, where)
         points, mean = self.shaped(content.modes), self.mean
+        if self.joints is not None and len(content.joints):
+            points[self.joints.rows] += self.joints.offsets(coefficients_of_steps(content.joints, content.step))
         if content.placement is not None:
             points, mean = (placed(content.placement, one, np.zeros(3)) for one in (points, mean))
         for part, placement in zip(self.rigid, content.parts, strict=False):
@@ -110,6 +148,12 @@ def placed(placement: FloatArray, points: FloatArray, about: FloatArray) -> Floa
     quaternion = np.append(turn, np.sqrt(np.maximum(1.0 - (turn**2).sum(), 0.0)))
     turned = (points - about) @ rotation_matrices(quaternion).T
     return np.asarray(np.exp(numbers[6]) * turned + about + numbers[:3])
+
+
+def unplaced(placement: FloatArray, points: FloatArray) -> FloatArray:
+    """Points (n, 3) as they were before a placement about the origin."""
+    axes = placed(placement, np.eye(3), np.zeros(3)) - placement[:3]
+    return np.asarray((points - placement[:3]) @ np.linalg.inv(axes))
 
 
 def basis_of(

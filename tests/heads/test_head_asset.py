@@ -98,6 +98,21 @@ def test_the_head_is_small_without_its_pictures() -> None:
     assert (DATA / "head.fpbasis").stat().st_size <= 3_000_000
 
 
+def test_identity_joints_are_sound() -> None:
+    own = asset().basis.identity_joints
+    assert own is not None
+    places, indices, weights = own.places, own.indices, own.weights
+    skin = asset().parts["Head"].points
+    assert indices.shape == weights.shape == (skin.stop, 8)
+    assert (indices < len(places)).all()
+    assert (weights.sum(axis=1, dtype=np.int64) == 255).all()
+    for joints, shares in zip(indices[::50], weights[::50], strict=True):
+        used = joints[shares > 0]
+        assert len(set(used.tolist())) == len(used), "a joint twice"
+    low, high = 10 * asset().points[skin].min(axis=0), 10 * asset().points[skin].max(axis=0)
+    assert ((places > low) & (places < high)).all()
+
+
 @pytest.mark.slow
 def test_the_script_makes_the_same_files(tmp_path: Path) -> None:
     """But for a few numbers in archives, which processors round differently.
