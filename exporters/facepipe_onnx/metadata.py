@@ -95,7 +95,7 @@ ENCODER = Kind(
 )
 PERSONS = Kind(
     "facepipe persons",
-    frozenset({"modes", "placement", "parts", "offsets"}),
+    frozenset({"modes", "identity_joints", "placement", "parts", "offsets"}),
     frozenset({"points", "joints"}),
     (frozenset({"offsets", "points"}),),
 )

@@ -12,7 +12,7 @@ from facepipe import __version__
 from facepipe.core.arrays import IntArray
 from facepipe.core.reports import ExportReport
 from facepipe.onnx_graph import Nodes
-from facepipe.payload.basis import BasisContent
+from facepipe.payload.basis import FULL, BasisContent
 from facepipe_onnx.metadata import FURTHER, PERSONS, operators
 from facepipe_onnx.writer import outputs, write_model
 
@@ -20,6 +20,7 @@ _CONVENTIONS = {
     "points": "points of all meshes one after another, in their order",
     "lengths": "millimetres",
     "space": "right-handed, Y up",
+    "identity_joints": "section 7 as rows and columns of M - 1 about the origin, 0 without it: x in points of the mean",
     "modes": "section 2 of a person's payload, 0 for modes that it does not have",
     "placement": "section 3 as rows: scale R transposed, then the move; without it the unit rows and none",
     "parts": "sections 4 and 5 in the same way, about the mean of the part's own points",
@@ -44,6 +45,7 @@ def export_persons(content: BasisContent, digest: str, path: str | os.PathLike[s
         steps = nodes.constant("steps", content.modes.transpose(0, 2, 1).reshape(kept, 3 * count), np.int16)
         wide = nodes.add("Mul", nodes.add("Cast", steps, to=1), nodes.constant("step", np.array(content.step)))
         points = nodes.add("Add", nodes.reshape(nodes.add("MatMul", "modes", wide), 1, count, 3), mean)
+    points = _with_joints(nodes, points, content)
     points, still = (_placed(nodes, one, "placement") for one in (points, mean))
     points = _with_parts(nodes, points, still, content) if content.parts else points
     points = nodes.add("Add", points, "offsets", name="points")
@@ -57,6 +59,8 @@ def export_persons(content: BasisContent, digest: str, path: str | os.PathLike[s
         placed = nodes.add("MatMul", nodes.constant("shares", shares), of_joints)
         nodes.reshape(placed, 1, len(rows), 3, name="joints")
     inputs: dict[str, tuple[int, ...]] = {"modes": (1, kept)} if kept else {}
+    own = content.identity_joints
+    inputs |= {} if own is None else {"identity_joints": (1, len(own.places), 3, 4)}
     inputs |= {"placement": (1, 4, 3)} | ({"parts": (1, len(content.parts), 4, 3)} if content.parts else {})
     inputs["offsets"] = (1, count, 3)
     ends = {"points": (1, count, 3)} | ({"joints": (1, len(content.joints), 3)} if content.joints else {})
@@ -66,6 +70,25 @@ def export_persons(content: BasisContent, digest: str, path: str | os.PathLike[s
     return ExportReport(
         path=target, files=(target, beside), counts=counts, bytes=size, seconds=time.perf_counter() - start
     )
+
+
+def _with_joints(nodes: Nodes, points: str, content: BasisContent) -> str:
+    """Points (1, n, 3) with what identity joints (1, j, 3, 4) add to those that have some."""
+    own, count = content.identity_joints, len(content.places)
+    if own is None:
+        return points
+    last, rows = own.first + len(own.indices), content.mean[own.first :][: len(own.indices)]
+    blended = ""
+    for indices, weights in zip(own.indices.T, own.weights.T, strict=True):
+        each = nodes.constant("joint_weights", weights[None, :, None, None] / FULL)
+        moved = nodes.add("Mul", nodes.gather("identity_joints", 1, indices), each)
+        blended = nodes.add("Add", blended, moved) if blended else moved
+    ends = nodes.constant("ends", np.column_stack([rows, np.ones(len(rows))])[None, :, :, None])
+    moves = nodes.reshape(nodes.add("MatMul", blended, ends), 1, len(rows), 3)
+    pieces = [nodes.add("Add", nodes.slice(points, 1, own.first, last), moves)]
+    before = [nodes.slice(points, 1, 0, own.first)] if own.first else []
+    after = [nodes.slice(points, 1, last, count)] if last < count else []
+    return nodes.concat([*before, *pieces, *after], 1)
 
 
 def _placed(nodes: Nodes, points: str, rows: str) -> str:

@@ -17,6 +17,8 @@ import facepipe
 from facepipe.heads import make
 from facepipe.heads.assembly import skeleton
 from facepipe.payload.person import PersonContent, decode_person
+from facepipe.rig.bone_coefficients import coefficient_matrices
+from facepipe.rig.identity_joints import coefficients_of_steps
 from facepipe.rig.trs import rotation_matrices
 from facepipe.stage import save_parts
 from facepipe.verbs.person_basis import head_basis
@@ -48,10 +50,16 @@ def fed(content: PersonContent) -> dict[str, Any]:
     modes[0, : len(content.modes)] = content.modes
     if content.points:
         offsets = basis.levels.decode(content.points, "points")
+    joints = np.zeros((len(basis.joints.places), 3, 4))
+    matrices = coefficient_matrices(coefficients_of_steps(content.joints, content.step))
+    for i, (matrix, place) in enumerate(zip(matrices, basis.joints.places, strict=False)):
+        linear = matrix[:3, :3] - np.eye(3)
+        joints[i] = np.column_stack([linear, matrix[:3, 3] - linear @ place])
     placement = np.zeros(7) if content.placement is None else content.placement
     parts = content.parts if len(content.parts) else np.zeros((len(basis.rigid), 7))
     inputs = {"modes": modes, "placement": rows(placement)[None], "parts": np.array([[rows(one) for one in parts]])}
-    return {name: np.asarray(value, np.float32) for name, value in {**inputs, "offsets": offsets[None]}.items()}
+    inputs |= {"identity_joints": joints[None], "offsets": offsets[None]}
+    return {name: np.asarray(value, np.float32) for name, value in inputs.items()}
 
 
 @pytest.mark.parametrize("kind", ["drawn", "placed", "beyond"])
@@ -66,6 +74,7 @@ def test_onnxruntime_rebuilds_what_python_does(graph: Path, kind: str) -> None:
     session = onnxruntime.InferenceSession(str(graph), providers=["CPUExecutionProvider"])
     found, joints = session.run(["points", "joints"], fed(content))
     own = head_basis().rebuilt(content, kind)
+    assert bool(len(content.joints)) == (kind == "beyond")
     assert np.abs(found[0] - own).max() < 2e-4, "millimetres: of float32 at 200 of them, some 2e-5 a step"
     np.testing.assert_allclose(joints[0], 10 * skeleton(own / 10).bind_transforms[:, :3, 3], atol=2e-4)
 
@@ -77,7 +86,7 @@ def test_the_file_is_one_of_ours_and_small(graph: Path) -> None:
         "Gather",
         "Concat",
     }
-    assert graph.stat().st_size < 18_000_000
+    assert graph.stat().st_size < 19_000_000
     sidecar = json.loads(graph.with_name("head.onnx.json").read_text())
     assert sidecar["face"]["basis"] == head_basis().digest.hex()
     assert [mesh["name"] for mesh in sidecar["meshes"]] == list(head_basis().topology.names)
