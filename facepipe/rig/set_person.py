@@ -424,6 +424,36 @@ class SetFace:
         return result
 
 
+def _check_sizes(rig: Rig, parts: FaceParts, person: Person) -> None:
+    """:raises InputError: joints of no size, or of one beyond measure, at rest or with the person"""
+    by_person = f"by the person ({person.description})"
+    for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
+        worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
+        finite = np.asarray(np.isfinite(worlds).all(axis=(1, 2)))
+        sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
+        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT_SIZE)
+        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT_SIZE * np.maximum(sizes[:, 0], 1.0)))
+        if flat.size:
+            what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
+            raise InputError(f"{parts.name} -> {rig.joints[flat[0]]}", what)
+
+
+def _in_neutral(parts: FaceParts, given: FaceParts, person: Person) -> FaceParts:
+    """The face whose neutral is the person already, as modes of sliders made it; the sliders start there."""
+    animations = tuple(one for one in parts.animations if not is_person(parts, one, person))
+    network = parts.slider_network
+    if network is not None:
+        network = network_resting_at(network, {slider.name: clamped_value(slider) for slider in parts.sliders})
+    return replace(
+        parts,
+        sliders=tuple(resting_at(slider, clamped_value(slider)) for slider in given.sliders),
+        slider_network=network,
+        animations=animations,
+        played=parts.played if parts.played in {animation.name for animation in animations} else None,
+        person=None,
+    )
+
+
 def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     """The face with the person as its rest.
 
@@ -444,23 +474,12 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
 
         parts = with_identity(parts)  # the neutral that all else is on top of
     if person.is_rest:
-        if parts is not given:
-            at = (resting_at(slider, clamped_value(slider)) for slider in given.sliders)
-            parts = replace(parts, sliders=tuple(at), person=None)
-        return SetFace(parts=parts, pose=person.description, error=None)
+        found = parts if parts is given else _in_neutral(parts, given, person)
+        return SetFace(parts=found, pose=person.description, error=None)
     in_joints = pose == "set-joints"
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
-    by_person = f"by the person ({person.description})"
-    for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
-        worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
-        finite = np.asarray(np.isfinite(worlds).all(axis=(1, 2)))
-        sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
-        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT_SIZE)
-        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT_SIZE * np.maximum(sizes[:, 0], 1.0)))
-        if flat.size:
-            what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
-            raise InputError(f"{parts.name} -> {rig.joints[flat[0]]}", what)
+    _check_sizes(rig, parts, person)
     skeleton, stretch = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
     moved = None if in_joints else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
     still = np.array_equal(person.matrices, np.broadcast_to(np.eye(4), person.matrices.shape))

@@ -120,23 +120,10 @@ class PersonModel:
         """
         person, change = self.points(weights), AuthorNeutral().changed
         if self.built_in:
-            from facepipe.verbs.person_sliders import person_sliders, shows_people
+            from facepipe.verbs.person_sliders import shows_people
 
             if shows_people(face.parts()):
-                found = person_sliders(face.sliders, person[: self.count], weights=weights, within=_WITHIN_MM)
-                author_changes(face, replace(face.parts(), person_basis=found.basis))
-                seen = np.intersect1d(self.face, found.rows)  # without the mouth's inside
-                off, left = (np.linalg.norm(one[seen], axis=1) for one in (found.sliders_left, found.left))
-                report = IdentityReport(
-                    modes=len(weights),
-                    deviations=float(np.sqrt(np.mean(weights**2))),
-                    beyond_sliders_mean_mm=float(off.mean()),
-                    beyond_sliders_max_mm=float(off.max()),
-                    section_bytes=len(found.basis.section),
-                    beyond_section_mean_mm=float(left.mean()),
-                    beyond_section_max_mm=float(left.max()),
-                )
-                return found.values, report
+                return self._author_sliders(face, weights, person)
         wanted, values = (person - whole_points(self.parts))[self.face], dict[str, float]()
         beyond = wanted
         if sliders:
@@ -173,6 +160,27 @@ class PersonModel:
             beyond_sliders_max_mm=float(apart.max()),
         )
         return values, report
+
+    def _author_sliders(
+        self, face: Face, weights: FloatArray, person: FloatArray
+    ) -> tuple[dict[str, float], IdentityReport]:
+        """As `author`, where sliders over the modes carry the person (n, 3): what they leave is a section."""
+        from facepipe.verbs.person_sliders import person_sliders
+
+        found = person_sliders(face.sliders, person[: self.count], weights=weights, within=_WITHIN_MM)
+        author_changes(face, replace(face.parts(), person_basis=found.basis))
+        seen = np.intersect1d(self.face, found.rows)  # without the mouth's inside
+        off, left = (np.linalg.norm(one[seen], axis=1) for one in (found.sliders_left, found.left))
+        report = IdentityReport(
+            modes=len(weights),
+            deviations=float(np.sqrt(np.mean(weights**2))),
+            beyond_sliders_mean_mm=float(off.mean()),
+            beyond_sliders_max_mm=float(off.max()),
+            section_bytes=len(found.basis.section),
+            beyond_section_mean_mm=float(left.mean()),
+            beyond_section_max_mm=float(left.max()),
+        )
+        return found.values, report
 
 
 def _moves_by(parts: FaceParts, sliders: Sequence[Slider]) -> Callable[[Mapping[str, float]], FloatArray]:
