@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import head_scripts  # noqa: F401  (finds the modules of samples/head/)
 import measures
 import numpy as np
 import pytest
-from command_line import Capsys, done, failed
+from command_line import Capsys, done, exit_code, failed
 
 import facepipe
 from facepipe.core import tokens
@@ -29,12 +30,19 @@ from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.whole_faces import whole_points
 
 
+@cache
+def person(seed: int) -> FaceParts:
+    return make(seed)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """head.usdc, the average, and anna.fpb, who is drawn."""
+    """head.usdc, the average, and anna.fpb, who is drawn; she as section.usdc and as points.usdc."""
     place = tmp_path_factory.mktemp("person")
-    save_parts(make(0), place / "head.usdc")
-    (place / "anna.fpb").write_bytes(encode_points(head_basis(), whole_points(make(3)), within=50.0)[0])
+    save_parts(person(0), place / "head.usdc")
+    (place / "anna.fpb").write_bytes(encode_points(head_basis(), whole_points(person(3)), within=50.0)[0])
+    words = ("apply-bones", place / "head.usdc", place / "anna.fpb", "-o")
+    assert exit_code(*words, place / "section.usdc", "--section") == exit_code(*words, place / "points.usdc") == 0
     return place
 
 
@@ -66,14 +74,14 @@ def skin_off(parts: FaceParts, other: FaceParts) -> FloatArray:
 
 
 def test_the_sliders_of_the_head_are_of_its_basis() -> None:
-    assert make(0).person_basis is not None
-    assert len({slider.name for slider in make(0).sliders}) == len(make(0).sliders)
+    assert person(0).person_basis is not None
+    assert len({slider.name for slider in person(0).sliders}) == len(person(0).sliders)
 
 
 @pytest.mark.parametrize("step", [31, pytest.param(1, marks=pytest.mark.slow)])
 def test_identity_sliders_move_no_measure(step: int) -> None:
     """A standard deviation of a mode, or a named slider at 1, moves measures by 0.02 standard deviations at most."""
-    face = Face.from_parts(make(0))
+    face = Face.from_parts(person(0))
     still = face.evaluate()
     for slider in mode_sliders()[::step]:
         moved = face.evaluate(sliders={slider.name: 1.0}) - still
@@ -84,11 +92,11 @@ def test_identity_sliders_move_no_measure(step: int) -> None:
 @pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 14))])
 def test_sliders_alone_are_a_drawn_person(seed: int) -> None:
     values = values_of(draw(seed).identity)
-    ranges = {slider.name: slider.maximum for slider in make(0).sliders}
+    ranges = {slider.name: slider.maximum for slider in person(0).sliders}
     assert np.mean([abs(value) >= ranges[name] for name, value in values.items()]) <= 0.02
-    found, person = set_face(with_values(make(0), values)), make(seed)
-    assert skin_off(found.parts, person).mean() <= 0.1
-    own = (whole_points(person) - whole_points(make(0))) / 10
+    found = set_face(with_values(person(0), values))
+    assert skin_off(found.parts, person(seed)).mean() <= 0.1
+    own = (whole_points(person(seed)) - whole_points(person(0))) / 10
     names = arrays("measures")["names"].tolist()
     shown = np.array([2 * values.get(name, 0.0) for name in names])
     assert np.abs(measured(own) - shown).mean() < 0.15  # but for what fits of lids and lips change
@@ -97,7 +105,7 @@ def test_sliders_alone_are_a_drawn_person(seed: int) -> None:
 def test_editing_a_person_moves_the_measure_alone() -> None:
     values = values_of(draw(3).identity)
     row = arrays("measures")["names"].tolist().index("noseWidth")
-    face = Face.from_parts(make(0))
+    face = Face.from_parts(person(0))
     before = face.evaluate(sliders=values)
     after = face.evaluate(sliders={**values, "noseWidth": values["noseWidth"] + 1.0})
     moved = measured(after - before)
@@ -106,7 +114,7 @@ def test_editing_a_person_moves_the_measure_alone() -> None:
 
 
 def test_no_identity_is_set_at_rest_and_set_faces_rest_at_their_values() -> None:
-    parts = with_values(make(0), values_of(draw(3).identity))
+    parts = with_values(person(0), values_of(draw(3).identity))
     assert set_face(parts, "rest").parts is parts
     found = set_face(parts).parts
     assert [one.modes for one in found.sliders] == [one.modes for one in parts.sliders]
@@ -119,7 +127,6 @@ def test_the_persons_own_values_are_set(here: Path, capsys: Capsys) -> None:
     out = done(capsys, "sliders", here / "head.usdc", "--person", here / "anna.fpb", "-o", here / "anna.usdc")
     assert "sliders off their defaults leave 0.0" in out
     assert (here / "anna.usdc").stat().st_size < 15_000
-    done(capsys, "apply-bones", here / "head.usdc", here / "anna.fpb", "-o", here / "points.usdc")
     one, other = (facepipe.open(here / name) for name in ("anna.usdc", "points.usdc"))
     off = 10 * np.linalg.norm(one.evaluate(pose="set") - other.evaluate(pose="set"), axis=1)
     assert off.max() <= 0.31
@@ -136,16 +143,8 @@ def test_a_face_without_such_sliders_is_refused(here: Path, capsys: Capsys) -> N
     assert "no sliders over modes of the built-in head" in failed(capsys, *words, folder=here)
 
 
-def both(here: Path, capsys: Capsys) -> tuple[Path, Path]:
-    """A person as section and as points."""
-    found = here / "section.usdc", here / "points.usdc"
-    done(capsys, "apply-bones", here / "head.usdc", here / "anna.fpb", "-o", found[0], "--section")
-    done(capsys, "apply-bones", here / "head.usdc", here / "anna.fpb", "-o", found[1])
-    return found
-
-
 def test_a_section_is_the_rewritten_neutral(here: Path, capsys: Capsys) -> None:
-    paths = both(here, capsys)
+    paths = here / "section.usdc", here / "points.usdc"
     assert paths[0].stat().st_size < 2_000 < 100_000 < paths[1].stat().st_size
     one, other = map(facepipe.open, paths)
     for name in ("jawOpen", "eyeBlinkLeft", "mouthSmileLeft"):
@@ -160,9 +159,11 @@ def test_a_section_is_the_rewritten_neutral(here: Path, capsys: Capsys) -> None:
             assert apart.max() < 1e-4
 
 
+@pytest.mark.slow
+@pytest.mark.gate
 def test_readers_take_both_alike(here: Path, capsys: Capsys) -> None:
     """Slider, export, blend, further fit, person: as from points."""
-    section, points = both(here, capsys)
+    section, points = here / "section.usdc", here / "points.usdc"
     found = []
     for path in (section, points):
         slid = path.with_name(f"{path.stem}_slid.usdc")
@@ -178,8 +179,22 @@ def test_readers_take_both_alike(here: Path, capsys: Capsys) -> None:
         assert scale * np.abs(one - other).max() < 2e-3
 
 
+@pytest.mark.slow
+def test_lower_levels_are_the_person(here: Path, capsys: Capsys) -> None:
+    from scipy.spatial import cKDTree
+
+    done(capsys, "sliders", here / "head.usdc", "--person", here / "anna.fpb", "-o", here / "anna.usdc")
+    done(capsys, "lod", here / "anna.usdc", "--triangles", "8000", "-o", here / "levels.usdc", quiet=False)
+    face = facepipe.open(here / "levels.usdc")
+    points, still = (10 * one.evaluate(pose="set") for one in (face, facepipe.open(here / "head.usdc")))
+    for level in face.lower_levels():
+        own = whole_points(set_face(level).parts)
+        to_person, to_head = (cKDTree(one).query(own)[0].mean() for one in (points, still))
+        assert to_person < 0.5 * to_head
+
+
 def test_what_changes_points_puts_the_person_into_them(here: Path, capsys: Capsys) -> None:
-    section, points = both(here, capsys)
+    section, points = here / "section.usdc", here / "points.usdc"
     assert facepipe.open(section).person_basis.section  # type: ignore[union-attr]
     moved = here / "moved.usda"
     with facepipe.open(section).deriving(moved) as face:
@@ -194,7 +209,7 @@ def test_what_changes_points_puts_the_person_into_them(here: Path, capsys: Capsy
     expected = whole_points(facepipe.open(points).parts())
     expected[: len(head.points)] += 1.0
     np.testing.assert_allclose(whole_points(found.parts()), expected, atol=1e-3)
-    (here / "bea.fpb").write_bytes(encode_points(head_basis(), whole_points(make(5)), within=50.0)[0])
+    (here / "bea.fpb").write_bytes(encode_points(head_basis(), whole_points(person(5)), within=50.0)[0])
     done(capsys, "apply-bones", here / "head.usdc", here / "bea.fpb", "-o", points, "--force")
     done(capsys, "apply-bones", section, here / "bea.fpb", "-o", here / "again.usda")
     again = facepipe.open(here / "again.usda")
@@ -205,15 +220,15 @@ def test_what_changes_points_puts_the_person_into_them(here: Path, capsys: Capsy
 
 def test_cooking_makes_the_section_anew(here: Path, capsys: Capsys) -> None:
     """The digest of the payload is in the recipe: another payload is a change."""
-    section, _ = both(here, capsys)
+    section = here / "section.usdc"
     before = facepipe.open(section).evaluate()
-    (here / "anna.fpb").write_bytes(encode_points(head_basis(), whole_points(make(5)), within=50.0)[0])
+    (here / "anna.fpb").write_bytes(encode_points(head_basis(), whole_points(person(5)), within=50.0)[0])
     done(capsys, "cook", section, quiet=False)
     assert 10 * np.abs(facepipe.open(section).evaluate() - before).max() > 1.0
 
 
-def _edited(here: Path, capsys: Capsys, change: Callable[[bytes], bytes], digest: str | None = None) -> Path:
-    section, _ = both(here, capsys)
+def _edited(here: Path, change: Callable[[bytes], bytes], digest: str | None = None) -> Path:
+    section = here / "section.usdc"
     from pxr import Usd, Vt
 
     stage = Usd.Stage.Open(str(section))
@@ -239,7 +254,7 @@ def _edited(here: Path, capsys: Capsys, change: Callable[[bytes], bytes], digest
 def test_a_damaged_section_is_one_line(
     here: Path, capsys: Capsys, change: Callable[[bytes], bytes], digest: str | None, line: str
 ) -> None:
-    section = _edited(here, capsys, change, digest)
+    section = _edited(here, change, digest)
     for words in (("export", section, "-o", here / "out.glb"), ("inspect", section)):
         found = failed(capsys, *words, folder=here)
         assert line in found
@@ -250,14 +265,14 @@ def test_a_damaged_section_is_one_line(
 def test_a_section_on_another_head_is_refused(here: Path) -> None:
     from faces import tiny_face
 
-    basis = replace(make(0).person_basis, section=(here / "anna.fpb").read_bytes())  # type: ignore[type-var]
+    basis = replace(person(0).person_basis, section=(here / "anna.fpb").read_bytes())  # type: ignore[type-var]
     face = Face.from_parts(replace(tiny_face(), person_basis=basis))
     with pytest.raises(FacepipeError, match="a person relative to the built-in head, expected its meshes"):
         face.parts()
 
 
 def test_sliders_of_an_unknown_basis_are_one_line(here: Path) -> None:
-    parts = with_values(make(0), {f"{MODE}001": 1.0})
+    parts = with_values(person(0), {f"{MODE}001": 1.0})
     for basis in (None, replace(parts.person_basis, digest="0123")):  # type: ignore[type-var]
         with pytest.raises(
             FacepipeError, match=r"facepipe:person:digest: .*, expected [0-9a-f]{16} of the built-in head"
