@@ -46,7 +46,7 @@ def encode_points(
 ) -> tuple[bytes, tuple[PersonLayer, ...]]:
     """The payload of whole points (n, 3) in millimetres, and what each of its layers gives.
 
-    :param within: how far off a point may be; None: as near as `most` bytes allow
+    :param within: how far off a point may be; None: as near as `most` bytes allow; neither: modes and parts alone
     :param weights: of the first modes, without a placement of the whole; None: those that come nearest, with one if
         that is worth its bytes
     """
@@ -69,7 +69,7 @@ def encode_points(
     if not layers:
         content = add("basis", content)
     joined = None
-    if not given and (within is None or _points_within(basis, content, points, within)):
+    if not given and (most is not None or (within is not None and _points_within(basis, content, points, within))):
         joined = _with_joints(basis, content, points, most)
     if joined is not None and within is not None:  # joints may take more than they spare
         ways = [replace(way, points=_points_within(basis, way, points, within)) for way in (content, joined)]

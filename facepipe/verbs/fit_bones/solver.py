@@ -57,6 +57,7 @@ class Fitted:
     largest: float  # distance of a point with weight, stage units
     steps: int
     slope: float  # largest cosine between what is left and what an unknown still does: 0 at a constrained optimum
+    capped: bool = False  # that many steps were not enough, for the threshold or an optimum
 
 
 def fit(
@@ -97,7 +98,8 @@ def fit(
             model, exact, damping = None, True, _START
         else:
             break
-    return Fitted(state.pose.coefficients, state.points, state.largest, taken, state.slope)
+    capped = taken == steps and state.largest > threshold and state.slope > settled
+    return Fitted(state.pose.coefficients, state.points, state.largest, taken, state.slope, capped)
 
 
 class _Model:

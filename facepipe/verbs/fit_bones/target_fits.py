@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,6 +56,14 @@ class Distances:
     max_mm: float
 
 
+class Solved(NamedTuple):
+    """What a frame came to."""
+
+    coefficients: FloatArray  # (m, 9)
+    steps: int
+    capped: bool  # that were all steps it may take
+
+
 @dataclass(frozen=True, kw_only=True)
 class ResidualReport:
     """A corrective blendshape per frame that needs one."""
@@ -76,6 +84,7 @@ class TargetReport:
     regions: Mapping[str, Distances] = field(default_factory=dict)  # points by the region that most of them is in
     reached: bool  # within the threshold, with the residual where there is one
     steps: int  # of the solves that were kept, over all frames
+    capped: int = 0  # frames whose solve ended at --max-iterations, before an optimum
     at_limits: tuple[str, ...] = ()  # "joint:channel" where some frame is stopped by a limit
     residual: ResidualReport | None = None
 
@@ -297,22 +306,22 @@ class TargetFits:
         :raises FitError: limits that let a joint shrink to nothing, and a fit that did
         """
         fitted: list[Fitting] = []
-        ahead: dict[int, tuple[FloatArray, int]] = {}
+        ahead: dict[int, Solved] = {}
         for number, target in enumerate(self._targets):
             if len(target.points) > 1:
                 # a clip: each frame is fitted from the one before
-                frames, steps, start = [], 0, self._start
+                frames, steps, capped, start = [], 0, 0, self._start
                 for frame in range(len(target.points)):
-                    start, taken = self._frame(number, frame, start)
+                    start, taken, stopped = self._frame(number, frame, start)
                     frames.append(start)
-                    steps += taken
+                    steps, capped = steps + taken, capped + stopped
                     done()
-                fitted.append(self._fitted(number, np.stack(frames), steps))
+                fitted.append(self._fitted(number, np.stack(frames), steps, capped))
                 continue
             if number not in ahead:
                 ahead |= self._together(number)
-            coefficients, steps = ahead.pop(number)
-            fitted.append(self._fitted(number, coefficients[None], steps))
+            coefficients, steps, stopped = ahead.pop(number)
+            fitted.append(self._fitted(number, coefficients[None], steps, int(stopped)))
             done()
         return fitted
 
@@ -358,8 +367,8 @@ class TargetFits:
             )
         return self._fits[key]
 
-    def _together(self, first: int) -> dict[int, tuple[FloatArray, int]]:
-        """Number -> coefficients (m, 9) and steps of a pose and of those after it that share its `BoneFit`."""
+    def _together(self, first: int) -> dict[int, Solved]:
+        """Number -> what a pose came to, and those after it that share its `BoneFit`."""
         fit, numbers = self._fit_of(self._targets[first].known), []
         for number in range(first, len(self._targets)):
             target = self._targets[number]
@@ -371,18 +380,21 @@ class TargetFits:
             poses = fit.fit_all([self._targets[number].points[0] for number in numbers], self._start)
         except np.linalg.LinAlgError:  # one by one, to name the target
             return {number: self._frame(number, 0, self._start) for number in numbers}
-        return {number: (pose.coefficients, pose.steps) for number, pose in zip(numbers, poses, strict=True)}
+        return {
+            number: Solved(pose.coefficients, pose.steps, pose.capped)
+            for number, pose in zip(numbers, poses, strict=True)
+        }
 
-    def _frame(self, number: int, frame: int, start: FloatArray) -> tuple[FloatArray, int]:
+    def _frame(self, number: int, frame: int, start: FloatArray) -> Solved:
         target = self._targets[number]
         try:
             fitted = self._fit_of(target.known).fit(target.points[frame], start)
         except np.linalg.LinAlgError:
             what = "the scale of a joint fell to 0, expected limits that keep it away from there"
             raise FitError(f"{self._rig.name} -> {self._names[number]}", what) from None
-        return fitted.coefficients, fitted.steps
+        return Solved(fitted.coefficients, fitted.steps, fitted.capped)
 
-    def _fitted(self, number: int, solved: FloatArray, steps: int) -> Fitting:
+    def _fitted(self, number: int, solved: FloatArray, steps: int, capped: int) -> Fitting:
         """What is authored of one target, solved as coefficients (T, m, 9), with its report."""
         target, name, threshold = self._targets[number], self._names[number], self._options.threshold_mm
         fit = self._fit_of(target.known)
@@ -420,6 +432,7 @@ class TargetFits:
             regions=by_region(miss, all_regions(self.parts.meshes), target.known),
             reached=bool((miss_at_end[:, counts] <= threshold).all()),
             steps=steps,
+            capped=capped,
             at_limits=at_limits(solved, fit.lower, fit.upper, self._rig.joints, fit.free),
             residual=residual,
         )
@@ -465,6 +478,10 @@ class TargetFits:
         lost = sum(flat for _, _, flat in residuals.values())
         if lost:
             lines.append(f"{name}: {lost} points are squashed flat by their bones, the residual can't move them")
+        if report.capped and not report.reached:
+            where = "" if report.frames == 1 else f" in {report.capped} frames"
+            most = self._options.max_iterations
+            lines.append(f"{name}: ended after {most} steps{where}, not at an optimum, --max-iterations takes more")
         if not report.reached:
             largest = (report.residual.distances if report.residual else report.distances).max_mm
             lines.append(f"{name}: {largest:.4g} mm off at most, threshold {self._options.threshold_mm:g} mm")

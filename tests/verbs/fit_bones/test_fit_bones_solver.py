@@ -10,6 +10,7 @@ import pytest
 from bone_rigs import MM, face_joints, head, jacobian, limits, parts, random_pose, small
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
@@ -429,3 +430,27 @@ def test_a_variable_hardly_off_its_bound_does_not_keep_the_others(room: float) -
         found = BoxedQuadratic(hessian).minimise(sign * linear, lower, upper)
         assert np.allclose(found, sign * np.array([-room, -0.1 + 0.9 * room]), rtol=0, atol=1e-15)
         assert abs(hessian[1] @ found + sign * linear[1]) <= 1e-12  # along the one that no bound holds
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fit_that_ends_at_its_most_steps_says_so_and_others_end_at_an_optimum(seed: int) -> None:
+    """Scipy's bounded least squares, begun where the fit ended, finds nothing lower."""
+    rig = small()
+    count, size = len(rig.joints), float(np.ptp(rig.points, axis=0).max())
+    target = rig.evaluate() + np.random.default_rng(seed).normal(0, 0.15 * size, rig.points.shape)
+    reach = np.repeat([0.3 * size, 1.0, 0.6], 3)
+    lower, upper = rest_coefficients(count) - reach, rest_coefficients(count) + reach
+    ways = {"lower": lower, "upper": upper, "threshold": 1e-6 * size, "rounds": 0}
+    assert BoneFit(rig, steps=3, **ways).fit(target).capped
+    fitted = BoneFit(rig, **ways).fit(target)
+    assert not fitted.capped
+
+    def off(values: np.ndarray) -> np.ndarray:
+        return (rig.evaluate(coefficients=values.reshape(count, 9)) - target).ravel()
+
+    tree, start = Tree(rig), np.clip(fitted.coefficients, lower + 1e-9, upper - 1e-9).ravel()
+    lowest = least_squares(
+        off, start, lambda values: jacobian(tree, values.reshape(count, 9)), (lower.ravel(), upper.ravel()), xtol=1e-14
+    )
+    mine = 0.5 * float((off(fitted.coefficients.ravel()) ** 2).sum())
+    assert mine <= lowest.cost * (1 + 1e-7)
