@@ -379,10 +379,11 @@ def test_no_flip_and_no_cut_gives_another_person() -> None:
             decode_person(data[:end], "person")
 
 
-def test_bytes_under_a_sound_crc_are_refused_or_make_a_face_in_bounds() -> None:
-    data, _ = encode_points(head_basis(), whole_points(drawn(3)), within=0.5)
-    sections = {section.kind: section for section in unpack(data, "person")}
-    assert POINTS in sections
+@pytest.mark.parametrize("kind", [POINTS, JOINTS])
+def test_bytes_under_a_sound_crc_are_refused_or_make_a_face_in_bounds(kind: int) -> None:
+    points = whole_points(drawn(3)) if kind == POINTS else beyond_modes(3)
+    data, _ = encode_points(head_basis(), points, **({"within": 0.5} if kind == POINTS else {"most": 900}))
+    assert kind in {section.kind for section in unpack(data, "person")}
     rng, made = np.random.default_rng(1), 0
     for _ in range(400):
         body = bytearray(data[:-4])
