@@ -26,6 +26,8 @@ Planes = npt.NDArray[np.uint8]
 MAGIC, VERSION = b"FPBA", 1
 DIGEST = 8  # bytes
 NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS = 1, 2, 3, 4, 5, 6, 7, 8  # kinds of sections
+_KNOWN = (NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS)
+MOST_PARTS = 16
 WHOLE = 64  # shares of a point's neighbours are so many-th, in sum 1
 _FINEST = 1_000_000  # places in a millimetre
 _HEADER = struct.Struct("<4sHH8sI")  # magic, version, flags, digest, bytes of the body
@@ -147,7 +149,11 @@ def decode_basis(data: bytes, where: object, *, trusted: bool = False) -> tuple[
     body = _inflated(data[_HEADER.size :], size, where)
     if not trusted and digest_of(body) != digest:
         raise InputError(where, "is damaged: its digest differs")
-    sections = {section.kind: section.data for section in read_sections(body, 0, len(body), where)}
+    found = read_sections(body, 0, len(body), where)
+    for section in found:
+        if section.required and section.kind not in _KNOWN:
+            raise InputError(where, f"section of kind {section.kind}, which this version of facepipe does not know")
+    sections = {section.kind: section.data for section in found}
     for kind in (NAME, MESHES, MEAN, LEVELS):
         if kind not in sections:
             raise InputError(where, f"no section of kind {kind}, expected one")
@@ -341,6 +347,8 @@ class _Reader:
         self._open(PARTS)
         parts = []
         while self._at < len(self._data):
+            if len(parts) == MOST_PARTS:
+                raise self._wrong(f"more than {MOST_PARTS} parts")
             with_modes, count = struct.unpack("<BH", self._take(3))
             runs = self._numbers("<u4", 2 * count).reshape(count, 2).astype(np.int64)
             if with_modes > 1 or not count or (runs[:, 0] >= runs[:, 1]).any() or (np.diff(runs.ravel()) < 0).any():

@@ -10,7 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.payload.basis import DIGEST
+from facepipe.payload.basis import DIGEST, MOST_PARTS
 from facepipe.payload.sections import Section, pack, unpack
 from facepipe.payload.small_numbers import decode_numbers, encode_numbers
 
@@ -19,7 +19,6 @@ LOOK, PICTURES, COEFFICIENTS = 9, 10, 11  # which readers may leave out
 _KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS, LOOK, PICTURES, COEFFICIENTS)
 _TURN = slice(3, 6)  # of a placement
 MOST_MODES = 4096
-MOST_PARTS = 16
 MOST_PICTURES = 16
 _LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale
 LARGEST_WEIGHT = 100.0  # standard deviations
@@ -182,7 +181,8 @@ def _numbers(section: Section | None, kind: str, each: int, most: int, where: st
 
 
 def _checked_modes(modes: FloatArray, where: object) -> FloatArray:
-    off = np.flatnonzero(~(np.abs(np.asarray(modes, np.float64)) <= LARGEST_WEIGHT))
+    with np.errstate(invalid="ignore"):  # casts of NaN
+        off = np.flatnonzero(~(np.abs(np.asarray(modes, np.float64)) <= LARGEST_WEIGHT))
     if len(off):
         expected = f"expected at most {LARGEST_WEIGHT:g} standard deviations"
         raise InputError(f"{where} -> mode {off[0]}", f"{modes[off[0]]:g}, {expected}")
@@ -190,7 +190,8 @@ def _checked_modes(modes: FloatArray, where: object) -> FloatArray:
 
 
 def _checked_moves(moves: FloatArray, where: object) -> FloatArray:
-    values = np.asarray(moves, np.float64)
+    with np.errstate(invalid="ignore"):  # casts of NaN
+        values = np.asarray(moves, np.float64)
     sound = (np.abs(values) <= _LARGEST).all(axis=1) & ((values[:, _TURN] ** 2).sum(axis=1) <= _ROUNDED)
     if not sound.all():
         (row, *_) = np.flatnonzero(~sound)

@@ -11,48 +11,16 @@ import numpy as np
 import pytest
 from command_line import Capsys
 from faces import tiny_face
+from person_corpus import grid_basis
 from places import REPOSITORY
 
 import facepipe
 from facepipe.cli import main
 from facepipe.core.errors import InputError
-from facepipe.geometry.point_levels import PointLevels
 from facepipe.heads.assembly import skeleton
-from facepipe.payload.basis import (
-    BasisContent,
-    JointPlace,
-    MeshRun,
-    RigidRows,
-    basis_body,
-    decode_basis,
-    digest_of,
-    encode_basis,
-)
+from facepipe.payload.basis import basis_body, decode_basis, digest_of, encode_basis
 from facepipe.stage import save_parts
 from facepipe.verbs.person_basis import head_basis
-
-
-def grid_basis(side: int = 12, modes: int = 3) -> BasisContent:
-    """Of a bumpy square of points, and five points beside it that are in no level."""
-    rng = np.random.default_rng(0)
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
-    points = np.vstack([np.stack([x, y, np.sin(x)], axis=1) * 5.0, rng.normal(size=(5, 3)) * 20])
-    corners = np.array([i for i in range(side * side - side) if i % side < side - 1])
-    triangles = np.vstack([np.stack([corners, corners + 1, corners + side], axis=1)])
-    levels = PointLevels.of(points, triangles, np.arange(side * side))
-    return BasisContent(
-        name="square",
-        meshes=(MeshRun("Square", side * side), MeshRun("Beside", 5)),
-        topology=bytes(range(32)),
-        grid=1000,
-        places=np.rint(1000 * points).astype(np.int64),
-        coarsest=levels.first,
-        levels=levels.levels,
-        step=0.5,
-        modes=rng.integers(-30_000, 30_000, (modes, 3, len(points))).astype(np.int16),
-        parts=(RigidRows(np.arange(144, 149), with_modes=False), RigidRows(np.array([0, 1, 7]), with_modes=True)),
-        joints=(JointPlace("root/jaw", np.array([3, 9]), np.array([0.25, 0.75])),),
-    )
 
 
 def test_what_was_written_is_read() -> None:
@@ -192,6 +160,25 @@ def test_what_inflates_beyond_its_header_is_refused_at_once() -> None:
     bomb = struct.pack("<4sHH8sI", b"FPBA", 1, 0, bytes(8), 1000) + zlib.compress(bytes(1 << 26), 9)
     with pytest.raises(InputError, match="expected 1,000 bytes"):
         decode_basis(bomb, "bomb")
+
+
+def test_sections_that_are_unknown_and_required_are_refused() -> None:
+    body = basis_body(grid_basis())
+    for kind, refused in ((0x80 | 90, True), (90, False)):
+        changed = body + bytes([kind, 2]) + b"ab"
+        head = struct.pack("<4sHH8sI", b"FPBA", 1, 0, digest_of(changed), len(changed))
+        if refused:
+            with pytest.raises(InputError, match="section of kind 90, which this version"):
+                decode_basis(head + zlib.compress(changed), "square")
+        else:
+            assert decode_basis(head + zlib.compress(changed), "square")[0].name == "square"
+
+
+def test_a_basis_of_a_million_parts_is_refused() -> None:
+    """Each would be all points: 11 bytes of a file that 1 MB of memory is taken for."""
+    made = grid_basis()
+    with pytest.raises(InputError, match="more than 16 parts"):
+        decode_basis(encode_basis(replace(made, parts=17 * made.parts[:1])), "square")
 
 
 def test_shares_that_are_not_whole_are_refused() -> None:

@@ -1,0 +1,925 @@
+// Persons (.fpb) on their basis (.fpbasis), rebuilt on a device: one header of C++17 without dependencies.
+//
+// Written from docs/files.md, "A person", "A basis" and "Bone coefficients". Lengths are millimetres, Y is up. Every
+// file may be hostile: counts are checked before memory is taken, and whatever is wrong is one Error of one line.
+//
+//   facepipe::Basis basis = facepipe::read_basis(facepipe::read_file("head.fpbasis"), "head.fpbasis");
+//   facepipe::Person person = facepipe::read_person(facepipe::read_file("me.fpb"), "me.fpb");
+//   facepipe::Rebuilt face = facepipe::rebuild(basis, person, "me.fpb");
+//
+// What it leaves out: SHA-256. The digest in a basis's header is taken as its name; zlib's checksum finds damage.
+
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <fstream>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace facepipe {
+
+using Bytes = std::vector<std::uint8_t>;
+using Digest = std::array<std::uint8_t, 8>;
+
+// Where, and what was expected, in one line.
+struct Error : std::runtime_error {
+  Error(const std::string& where, const std::string& what) : std::runtime_error(where + ": " + what) {}
+};
+
+constexpr std::uint32_t kMostBody = 1u << 28;    // bytes of a basis
+constexpr std::uint32_t kMostPoints = 1u << 20;  // of a basis
+constexpr std::uint32_t kFinestGrid = 1000000;   // places in a millimetre
+constexpr std::size_t kMostSections = 64;
+constexpr std::size_t kMostModes = 4096;
+constexpr std::size_t kMostParts = 16;
+constexpr int kWhole = 64;                  // shares of neighbours are so many-th
+constexpr double kLargestWeight = 100.0;    // standard deviations
+constexpr double kLargestMove = 1e4;        // millimetres
+constexpr double kLargestGrowth = 3.0;      // logarithm of a scale
+constexpr double kRoundedTurn = 1.002;      // squares of a half turn in float16
+constexpr double kFinerSteps = 1.15;        // of each coarser level
+
+struct Mesh {
+  std::string name;
+  std::uint32_t first, count;  // of its points among all
+};
+
+struct Level {
+  std::vector<std::uint32_t> rows;        // points, ascending
+  std::uint32_t width = 0;                // neighbours of each
+  std::vector<std::uint32_t> neighbours;  // width for each row, the nearest first
+  std::vector<std::int8_t> shares;        // 64ths
+};
+
+struct Part {
+  bool with_modes;                                             // moved after the modes; else it is the mean's
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;  // first point, and the one after the last
+};
+
+struct Joint {
+  std::string path;
+  std::vector<std::uint32_t> points;
+  std::vector<float> shares;
+};
+
+struct Basis {
+  std::string name;
+  Digest digest{};
+  std::vector<Mesh> meshes;
+  std::vector<double> mean;  // x y z of point after point
+  std::vector<std::uint32_t> coarsest;
+  std::vector<Level> levels;  // the finer ones
+  double step = 0;            // millimetres
+  std::size_t mode_count = 0;
+  std::vector<std::int16_t> modes;  // steps: mode after mode all x, all y, all z
+  std::vector<Part> parts;
+  std::vector<Joint> joints;
+
+  std::size_t points() const { return mean.size() / 3; }
+};
+
+struct Placement {
+  double move[3], turn[3], growth;
+};
+
+struct Person {
+  Digest basis{};
+  std::vector<double> modes;       // weights of the first modes
+  std::vector<Placement> whole;    // none or one
+  std::vector<Placement> parts;    // none or one for each of the basis's
+  Bytes points;                    // offsets by levels
+  std::vector<int> skipped;        // kinds of sections that are there and were left out
+};
+
+struct Rebuilt {
+  std::vector<double> points;  // x y z of point after point, of all meshes
+  std::vector<double> joints;  // x y z of each joint: inverse binds are translations by the negative of it
+};
+
+namespace detail {
+
+inline std::uint32_t crc32(const std::uint8_t* data, std::size_t size) {
+  static const std::array<std::uint32_t, 256> table = [] {
+    std::array<std::uint32_t, 256> made{};
+    for (std::uint32_t i = 0; i < 256; ++i) {
+      std::uint32_t value = i;
+      for (int bit = 0; bit < 8; ++bit) value = value & 1 ? 0xEDB88320u ^ value >> 1 : value >> 1;
+      made[i] = value;
+    }
+    return made;
+  }();
+  std::uint32_t crc = ~0u;
+  for (std::size_t i = 0; i < size; ++i) crc = table[(crc ^ data[i]) & 255] ^ crc >> 8;
+  return ~crc;
+}
+
+inline std::uint32_t little32(const std::uint8_t* data) {
+  return data[0] | data[1] << 8 | data[2] << 16 | static_cast<std::uint32_t>(data[3]) << 24;
+}
+
+inline float float32(const std::uint8_t* data) {
+  const std::uint32_t bits = little32(data);
+  float value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+inline double float16(const std::uint8_t* data) {
+  const int bits = data[0] | data[1] << 8, exponent = bits >> 10 & 31, fraction = bits & 1023;
+  double value = exponent == 31 ? (fraction ? std::nan("") : HUGE_VAL)
+                 : exponent     ? std::ldexp(1024 + fraction, exponent - 25)
+                                : std::ldexp(fraction, -24);
+  return bits >> 15 ? -value : value;
+}
+
+// Whether a text is UTF-8: no surrogates, no needless bytes, nothing above U+10FFFF.
+inline bool is_utf8(const std::uint8_t* text, std::size_t size) {
+  for (std::size_t i = 0; i < size;) {
+    const std::uint8_t first = text[i];
+    const std::size_t more = first < 0x80 ? 0 : first < 0xC2 ? 9 : first < 0xE0 ? 1 : first < 0xF0 ? 2 : first < 0xF5 ? 3 : 9;
+    if (more >= size - i) return false;
+    for (std::size_t k = 1; k <= more; ++k)
+      if ((text[i + k] & 0xC0) != 0x80) return false;
+    const std::uint8_t second = more ? text[i + 1] : 0;
+    if ((first == 0xE0 && second < 0xA0) || (first == 0xED && second > 0x9F)) return false;
+    if ((first == 0xF0 && second < 0x90) || (first == 0xF4 && second > 0x8F)) return false;
+    i += more + 1;
+  }
+  return true;
+}
+
+// Bytes one after another, never beyond their end.
+class Reader {
+ public:
+  Reader(const std::uint8_t* data, std::size_t size, std::string where)
+      : data_(data), size_(size), where_(std::move(where)) {}
+
+  std::size_t left() const { return size_ - place_; }
+
+  [[noreturn]] void wrong(const std::string& what) const { throw Error(where_, what); }
+
+  const std::uint8_t* take(std::size_t count, std::size_t each = 1) {
+    if (each && count > left() / each)
+      wrong(std::to_string(size_) + " bytes, expected more after " + std::to_string(place_));
+    const std::uint8_t* found = data_ + place_;
+    place_ += count * each;
+    return found;
+  }
+
+  std::uint8_t byte() { return *take(1); }
+  std::uint32_t two() {
+    const std::uint8_t* found = take(2);
+    return found[0] | found[1] << 8;
+  }
+  std::uint32_t four() { return little32(take(4)); }
+
+  std::string text(std::size_t size) {
+    const std::uint8_t* found = take(size);
+    if (!is_utf8(found, size)) wrong("a name that is no UTF-8");
+    return std::string(found, found + size);
+  }
+
+  // Whole numbers of four planes of bytes, folded so that small ones of either sign are small.
+  std::vector<std::int64_t> planes(std::size_t count) {
+    const std::uint8_t* found = take(count, 4);
+    std::vector<std::int64_t> values(count);
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::uint32_t folded = found[i] | found[i + count] << 8 | found[i + 2 * count] << 16 |
+                                   static_cast<std::uint32_t>(found[i + 3 * count]) << 24;
+      values[i] = static_cast<std::int64_t>(folded >> 1) ^ -static_cast<std::int64_t>(folded & 1);
+    }
+    return values;
+  }
+
+  void end() const {
+    if (left()) wrong(std::to_string(size_) + " bytes, expected " + std::to_string(place_));
+  }
+
+ private:
+  const std::uint8_t* data_;
+  std::size_t size_, place_ = 0;
+  std::string where_;
+};
+
+// A zlib stream (RFC 1950, 1951), whose codes are looked up by as many bits as the longest has.
+class Inflater {
+ public:
+  Inflater(const std::uint8_t* data, std::size_t size, std::string where)
+      : data_(data), size_(size), where_(std::move(where)) {}
+
+  // What the stream is, which must be so many bytes and end where the data ends.
+  Bytes inflated(std::size_t size) {
+    if (size / 1032 > size_) damaged();  // no stream is worth more
+    out_.reserve(size);
+    most_ = size;
+    const std::uint32_t head = bits(8) << 8, both = head | bits(8);
+    if (both % 31 || (both >> 8 & 15) != 8 || both >> 12 > 7 || both & 0x20) damaged();
+    for (bool last = false; !last;) {
+      last = bits(1);
+      block(bits(2));
+    }
+    bits(held_count_ % 8);
+    std::uint32_t low = 1, high = 0, sum = 0;
+    for (std::size_t i = 0; i < out_.size();) {
+      for (const std::size_t stop = std::min(out_.size(), i + 5552); i < stop; ++i) high += low += out_[i];
+      low %= 65521, high %= 65521;
+    }
+    for (int i = 0; i < 4; ++i) sum = sum << 8 | bits(8);
+    if (out_.size() != size || sum != (high << 16 | low) || held_count_ || place_ != size_) damaged();
+    return std::move(out_);
+  }
+
+ private:
+  struct Codes {
+    std::vector<std::uint16_t> entries;  // symbol << 4 | bits, by the next bits; 0: no code
+    std::uint32_t mask = 0;
+  };
+
+  [[noreturn]] void damaged() const { throw Error(where_, "is damaged: not the zlib stream that its header promises"); }
+
+  void fill() {
+    for (; held_count_ <= 56 && place_ < size_; held_count_ += 8)
+      held_ |= static_cast<std::uint64_t>(data_[place_++]) << held_count_;
+  }
+
+  void drop(unsigned count) {
+    if (count > held_count_) damaged();
+    held_ >>= count;
+    held_count_ -= count;
+  }
+
+  std::uint32_t bits(unsigned count) {
+    fill();
+    const std::uint32_t value = static_cast<std::uint32_t>(held_ & ((1ull << count) - 1));
+    drop(count);
+    return value;
+  }
+
+  std::uint32_t symbol(const Codes& codes) {
+    fill();
+    const std::uint32_t entry = codes.entries[held_ & codes.mask];
+    if (!(entry & 15)) damaged();
+    drop(entry & 15);
+    return entry >> 4;
+  }
+
+  // Codes by their lengths. A set that is not full is one code of one bit, or none, as zlib has it.
+  Codes codes(const std::uint8_t* lengths, int count, bool whole = false) {
+    std::array<int, 16> counts{}, next{};
+    for (int i = 0; i < count; ++i) ++counts[lengths[i]];
+    int longest = 15, left = 1;
+    while (longest && !counts[longest]) --longest;
+    for (int length = 1; length <= 15; ++length)
+      if ((left = 2 * left - counts[length]) < 0) damaged();
+    if (left && (whole || longest > 1)) damaged();
+    counts[0] = 0;
+    for (int length = 1; length < 16; ++length) next[length] = (next[length - 1] + counts[length - 1]) << 1;
+    Codes made;
+    made.entries.assign(std::size_t{1} << longest, 0);
+    made.mask = (1u << longest) - 1;
+    for (int i = 0; i < count; ++i) {
+      const int length = lengths[i];
+      if (!length) continue;
+      std::uint32_t code = static_cast<std::uint32_t>(next[length]++), turned = 0;
+      for (int bit = 0; bit < length; ++bit) turned |= (code >> bit & 1) << (length - 1 - bit);
+      for (; turned <= made.mask; turned += 1u << length)
+        made.entries[turned] = static_cast<std::uint16_t>(i << 4 | length);
+    }
+    return made;
+  }
+
+  void block(std::uint32_t kind) {
+    if (kind == 3) damaged();
+    if (kind == 0) return stored();
+    std::array<std::uint8_t, 320> lengths{};
+    int first = 288, second = 32;
+    if (kind == 1) {
+      for (int i = 0; i < 320; ++i) lengths[i] = i < 144 ? 8 : i < 256 ? 9 : i < 280 ? 7 : i < 288 ? 8 : 5;
+    } else {
+      read_lengths(lengths, first, second);
+    }
+    const Codes literals = codes(lengths.data(), first), distances = codes(lengths.data() + first, second);
+    for (std::uint32_t next; (next = symbol(literals)) != 256;) {
+      if (next < 256) {
+        if (out_.size() == most_) damaged();
+        out_.push_back(static_cast<std::uint8_t>(next));
+      } else {
+        copy(next, distances);
+      }
+    }
+  }
+
+  void stored() {
+    bits(held_count_ % 8);
+    const std::uint32_t length = bits(16), other = bits(16);
+    if (length != (other ^ 0xFFFF) || length > most_ - out_.size()) damaged();
+    for (std::uint32_t i = 0; i < length; ++i) out_.push_back(static_cast<std::uint8_t>(bits(8)));
+  }
+
+  void read_lengths(std::array<std::uint8_t, 320>& lengths, int& first, int& second) {
+    static const std::uint8_t order[19] = {16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15};
+    first = static_cast<int>(bits(5)) + 257, second = static_cast<int>(bits(5)) + 1;
+    const int known = static_cast<int>(bits(4)) + 4;
+    if (first > 286 || second > 30) damaged();
+    std::uint8_t own[19] = {};
+    for (int i = 0; i < known; ++i) own[order[i]] = static_cast<std::uint8_t>(bits(3));
+    const Codes meta = codes(own, 19, true);
+    for (int i = 0; i < first + second;) {
+      const std::uint32_t next = symbol(meta);
+      if (next < 16) {
+        lengths[i++] = static_cast<std::uint8_t>(next);
+        continue;
+      }
+      if (next == 16 && !i) damaged();
+      const std::uint8_t value = next == 16 ? lengths[i - 1] : 0;
+      const int times = static_cast<int>(next == 16 ? 3 + bits(2) : next == 17 ? 3 + bits(3) : 11 + bits(7));
+      if (i + times > first + second) damaged();
+      for (int k = 0; k < times; ++k) lengths[i++] = value;
+    }
+    if (!lengths[256]) damaged();
+  }
+
+  void copy(std::uint32_t symbol_of_length, const Codes& distances) {
+    static const std::uint16_t lengths[] = {3,  4,  5,  6,  7,  8,  9,  10, 11,  13,  15,  17,  19,  23, 27,
+                                            31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227, 258};
+    static const std::uint16_t places[] = {1,   2,   3,   4,   5,   7,    9,    13,   17,   25,   33,   49,   65,    97,    129,
+                                           193, 257, 385, 513, 769, 1025, 1537, 2049, 3073, 4097, 6145, 8193, 12289, 16385, 24577};
+    const std::uint32_t which = symbol_of_length - 257;
+    if (which > 28) damaged();
+    const std::uint32_t length = lengths[which] + (which < 8 || which == 28 ? 0 : bits(which / 4 - 1));
+    const std::uint32_t far = symbol(distances);
+    if (far > 29) damaged();
+    const std::size_t distance = places[far] + (far < 4 ? 0 : bits(far / 2 - 1));
+    if (distance > out_.size() || length > most_ - out_.size()) damaged();
+    for (std::uint32_t i = 0; i < length; ++i) out_.push_back(out_[out_.size() - distance]);
+  }
+
+  const std::uint8_t* data_;
+  std::size_t size_, place_ = 0, most_ = 0;
+  std::uint64_t held_ = 0;
+  unsigned held_count_ = 0;
+  std::string where_;
+  Bytes out_;
+};
+
+struct Section {
+  int kind;
+  bool required;
+  const std::uint8_t* data;
+  std::size_t size;
+};
+
+// Sections, whose kinds ascend: a kind with 128 more where a reader that does not know it refuses the file, a length in
+// groups of 7 bits, bytes.
+inline std::vector<Section> sections(const std::uint8_t* data, std::size_t size, const std::string& where) {
+  std::vector<Section> found;
+  for (std::size_t place = 0; place < size;) {
+    const std::string trail = where + " -> section " + std::to_string(found.size() + 1);
+    if (found.size() == kMostSections) throw Error(where, "more than 64 sections");
+    const int kind = data[place] & 127;
+    if (kind <= (found.empty() ? 0 : found.back().kind)) throw Error(trail, "expected each kind once, ascending from 1");
+    const bool required = data[place++] > 127;
+    std::uint64_t length = 0;
+    for (int group = 0;; ++group) {
+      if (group == 5 || place == size || (group && !data[place])) throw Error(trail, "a length without end or with needless bytes");
+      length |= static_cast<std::uint64_t>(data[place] & 127) << 7 * group;
+      if (data[place++] < 128) break;
+    }
+    if (length > size - place) throw Error(trail, "longer than what follows");
+    found.push_back({kind, required, data + place, static_cast<std::size_t>(length)});
+    place += static_cast<std::size_t>(length);
+  }
+  return found;
+}
+
+// The body of a basis, section by section.
+class BasisReader {
+ public:
+  BasisReader(const Bytes& body, std::string where) : where_(std::move(where)) {
+    for (const Section& one : sections(body.data(), body.size(), where_)) {
+      if (one.kind <= 7)
+        known_[one.kind] = one;
+      else if (one.required)
+        throw Error(where_, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
+    }
+  }
+
+  Basis basis() {
+    Reader name = open(1);
+    made_.name = name.text(name.left());
+    read_meshes();
+    read_mean();
+    read_levels();
+    if (known_[5].data) read_modes();
+    if (known_[6].data) read_parts();
+    if (known_[7].data) read_joints();
+    return std::move(made_);
+  }
+
+ private:
+  Reader open(int kind) const {
+    const std::string trail = where_ + " -> section of kind " + std::to_string(kind);
+    if (!known_[kind].data) throw Error(trail, "none, expected one");
+    return Reader(known_[kind].data, known_[kind].size, trail);
+  }
+
+  void read_meshes() {
+    Reader reader = open(2);
+    std::uint64_t count = 0;
+    while (reader.left()) {
+      Mesh mesh{reader.text(reader.byte()), static_cast<std::uint32_t>(count), 0};
+      count += mesh.count = reader.four();
+      if (count > kMostPoints) break;
+      made_.meshes.push_back(std::move(mesh));
+    }
+    if (!count || count > kMostPoints) reader.wrong(std::to_string(count) + " points, expected 1 to 1048576");
+    points_ = static_cast<std::uint32_t>(count);
+  }
+
+  void read_mean() {
+    Reader reader = open(3);
+    reader.take(32);  // of the topology, which a device has no faces to compare with
+    const std::uint32_t grid = reader.four();
+    if (!grid || grid > kFinestGrid) reader.wrong(std::to_string(grid) + " places in a millimetre, expected 1 to 1000000");
+    const std::vector<std::int64_t> changes = reader.planes(3 * std::size_t{points_});
+    reader.end();
+    made_.mean.resize(changes.size());
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      std::int64_t place = 0;
+      for (std::size_t i = 0; i < points_; ++i) {
+        place += changes[axis * points_ + i];
+        made_.mean[3 * i + axis] = static_cast<double>(place) / grid;
+      }
+    }
+  }
+
+  void read_levels() {
+    Reader reader = open(4);
+    const std::size_t count = reader.byte();
+    std::vector<std::uint32_t> sizes(count + 1);
+    std::uint64_t rows = 0, neighbours = 0;
+    for (std::uint32_t& size : sizes) rows += size = reader.four();
+    made_.levels.resize(count);
+    for (std::size_t i = 0; i < count; ++i) neighbours += std::uint64_t{made_.levels[i].width = reader.byte()} * sizes[i + 1];
+    if (rows > points_) reader.wrong(std::to_string(rows) + " points of levels, expected at most those of meshes");
+    const std::vector<std::int64_t> steps = reader.planes(static_cast<std::size_t>(rows));
+    const std::vector<std::int64_t> near = reader.planes(static_cast<std::size_t>(neighbours));
+    std::vector<bool> known(points_);
+    const std::int64_t* next = steps.data();
+    made_.coarsest = ascending(reader, next, sizes[0], known);
+    const std::int64_t* away = near.data();
+    for (std::size_t i = 0; i < count; ++i) {
+      Level& level = made_.levels[i];
+      next += sizes[i];
+      const std::vector<bool> coarser = known;
+      level.rows = ascending(reader, next, sizes[i + 1], known);
+      read_neighbours(reader, away, level, coarser);
+      away += level.neighbours.size();
+    }
+    reader.end();
+  }
+
+  static std::vector<std::uint32_t> ascending(const Reader& reader, const std::int64_t* steps, std::size_t count,
+                                              std::vector<bool>& known) {
+    std::vector<std::uint32_t> rows;
+    rows.reserve(count);
+    std::int64_t row = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      row += steps[i];
+      if (row < 0 || row >= static_cast<std::int64_t>(known.size()) || (i && steps[i] <= 0) || known[row])
+        reader.wrong("points of a level that don't ascend, or are in two, expected each once");
+      rows.push_back(static_cast<std::uint32_t>(row));
+      known[row] = true;
+    }
+    if (rows.empty()) reader.wrong("a level without points");
+    return rows;
+  }
+
+  static void read_neighbours(Reader& reader, const std::int64_t* away, Level& level, const std::vector<bool>& coarser) {
+    const std::size_t count = level.rows.size(), width = level.width;
+    const std::uint8_t* shares = reader.take(count, width);
+    level.neighbours.resize(count * width);
+    level.shares.resize(count * width);
+    for (std::size_t i = 0; i < count; ++i) {
+      int sum = 0;
+      for (std::size_t k = 0; k < width; ++k) {
+        const std::int64_t near = level.rows[i] + away[k * count + i];
+        if (near < 0 || near >= static_cast<std::int64_t>(coarser.size()) || !coarser[near])
+          reader.wrong("neighbours that are in no coarser level, expected points that are");
+        level.neighbours[i * width + k] = static_cast<std::uint32_t>(near);
+        sum += level.shares[i * width + k] = static_cast<std::int8_t>(shares[k * count + i]);
+      }
+      if (sum != kWhole) reader.wrong("shares of neighbours whose sum is not 64");
+    }
+  }
+
+  // Each mode's residuals come level by level: what its neighbours' steps predict is added.
+  void read_modes() {
+    Reader reader = open(5);
+    const std::size_t count = reader.two();
+    const float step = float32(reader.take(4));
+    if (!(step > 0 && step <= 1e3f) || !count) reader.wrong("expected modes in steps above 0, at most 1,000 mm");
+    const std::size_t numbers = 3 * count * points_;
+    const std::uint8_t* low = reader.take(numbers, 2);
+    const std::uint8_t* high = low + numbers;
+    reader.end();
+    std::vector<bool> known(points_);
+    for (std::uint32_t row : made_.coarsest) known[row] = true;
+    for (const Level& level : made_.levels)
+      for (std::uint32_t row : level.rows) known[row] = true;
+    made_.step = step;
+    made_.mode_count = count;
+    made_.modes.resize(numbers);
+    for (std::size_t start = 0; start < numbers; start += points_) {
+      std::int16_t* steps = made_.modes.data() + start;
+      std::size_t place = start;
+      const auto rest = [&] {
+        const std::uint32_t folded = low[place] | high[place] << 8;
+        ++place;
+        return static_cast<int>(folded >> 1) ^ -static_cast<int>(folded & 1);
+      };
+      for (std::uint32_t row : made_.coarsest) steps[row] = static_cast<std::int16_t>(rest());
+      for (const Level& level : made_.levels) {
+        const std::uint32_t* near = level.neighbours.data();
+        const std::int8_t* share = level.shares.data();
+        for (std::uint32_t row : level.rows) {
+          int sum = kWhole / 2;
+          for (std::uint32_t k = 0; k < level.width; ++k) sum += *share++ * steps[*near++];
+          steps[row] = static_cast<std::int16_t>(rest() + (sum >> 6));  // modulo 2^16
+        }
+      }
+      int before = 0;
+      for (std::uint32_t row = 0; row < points_; ++row)
+        if (!known[row]) steps[row] = static_cast<std::int16_t>(before = static_cast<std::int16_t>(before + rest()));
+    }
+  }
+
+  void read_parts() {
+    Reader reader = open(6);
+    while (reader.left()) {
+      if (made_.parts.size() == kMostParts) reader.wrong("more than 16 parts");
+      const std::uint8_t with_modes = reader.byte();
+      const std::size_t count = reader.two();
+      const std::uint8_t* runs = reader.take(count, 8);
+      Part part{with_modes == 1, {}};
+      std::uint32_t after = 0;
+      for (std::size_t i = 0; i < count; ++i) {
+        const std::uint32_t first = little32(runs + 8 * i), last = little32(runs + 8 * i + 4);
+        if (first < after || first >= last || last > points_) reader.wrong("runs of a part that don't ascend, or leave the meshes");
+        part.runs.emplace_back(first, after = last);
+      }
+      if (with_modes > 1 || !count) reader.wrong("a part of no kind, or without points");
+      made_.parts.push_back(std::move(part));
+    }
+  }
+
+  void read_joints() {
+    Reader reader = open(7);
+    while (reader.left()) {
+      Joint joint{reader.text(reader.byte()), {}, {}};
+      const std::size_t count = reader.byte();
+      for (std::size_t i = 0; i < count; ++i) joint.points.push_back(reader.four());
+      for (std::size_t i = 0; i < count; ++i) joint.shares.push_back(float32(reader.take(4)));
+      for (std::size_t i = 0; i < count; ++i)
+        if (joint.points[i] >= points_ || !std::isfinite(joint.shares[i])) reader.wrong("a joint of points that are not there");
+      if (!count) reader.wrong("a joint of no points");
+      made_.joints.push_back(std::move(joint));
+    }
+  }
+
+  std::string where_;
+  Section known_[8] = {};
+  std::uint32_t points_ = 0;
+  Basis made_;
+};
+
+// LZMA's range coder, with probabilities that learn fast at first.
+class BitReader {
+ public:
+  BitReader(const std::uint8_t* data, std::size_t size, std::size_t contexts, std::string where)
+      : data_(data), size_(size), likely_(contexts, 1 << 15), shifts_(contexts, 1), where_(std::move(where)) {
+    for (int i = 0; i < 4; ++i) code_ = code_ << 8 | next();
+  }
+
+  bool bit(std::size_t context) {
+    std::uint32_t& likely = likely_[context];
+    const std::uint32_t bound = (span_ >> 12) * std::max(likely >> 4, 1u);
+    const bool one = code_ >= bound;
+    if (one) {
+      code_ -= bound;
+      span_ -= bound;
+      likely -= likely >> shifts_[context];
+    } else {
+      span_ = bound;
+      likely += (65535 - likely) >> shifts_[context];
+    }
+    if (shifts_[context] < 5) ++shifts_[context];
+    fill();
+    return one;
+  }
+
+  // A number of some bits of even odds.
+  int number(int bits) {
+    int value = 0;
+    for (int i = 0; i < bits; ++i) {
+      span_ >>= 1;
+      const bool one = code_ >= span_;
+      if (one) code_ -= span_;
+      value = value << 1 | one;
+      fill();
+    }
+    return value;
+  }
+
+  // An Exp-Golomb number.
+  int growing() {
+    int length = 0;
+    while (number(1))
+      if (++length > 15) throw Error(where_, "a number of more than 15 bits, expected small ones");
+    return (1 << length) - 1 + number(length);
+  }
+
+ private:
+  std::uint32_t next() {  // four zeros at the end may be left out
+    if (place_ >= size_ + 4) throw Error(where_, "ends in the middle, expected more bytes");
+    const std::size_t place = place_++;
+    return place < size_ ? data_[place] : 0;
+  }
+
+  void fill() {
+    for (; span_ < 1u << 24; span_ <<= 8) code_ = code_ << 8 | next();
+  }
+
+  const std::uint8_t* data_;
+  std::size_t size_, place_ = 0;
+  std::uint32_t code_ = 0, span_ = 0xFFFFFFFF;
+  std::vector<std::uint32_t> likely_;
+  std::vector<std::uint8_t> shifts_;
+  std::string where_;
+};
+
+// Offsets of points, level by level, each predicted from its neighbours in coarser ones.
+class Offsets {
+ public:
+  Offsets(const Basis& basis, const Bytes& data, const std::string& where)
+      : basis_(basis), where_(where), bits_(data.data() + std::min<std::size_t>(5, data.size()),
+        data.size() < 5 ? 0 : data.size() - 5, 1 + 4 + 24 + 24, where), steps_(3 * basis.points()), got_(3 * basis.points()) {
+    if (data.size() < 5) throw Error(where_, "expected at least 5 bytes");
+    step_ = float32(data.data());
+    sent_ = data[4];
+    if (!(step_ > 0 && step_ <= kLargestMove)) throw Error(where_, "expected steps of more than 0 and at most 10,000 mm");
+    if (sent_ > basis.levels.size()) throw Error(where_, "more levels than the basis has");
+  }
+
+  const std::vector<double>& all() {
+    const Level coarsest{basis_.coarsest, 0, {}, {}};
+    read(coarsest, 0);
+    for (std::size_t i = 0; i < basis_.levels.size(); ++i) {
+      const Level& level = basis_.levels[i];
+      predict(level);
+      if (i < sent_) read(level, i + 1);
+    }
+    for (double value : got_)
+      if (!(std::abs(value) <= kLargestMove)) throw Error(where_, "offsets above 10,000 mm, expected smaller ones");
+    return got_;
+  }
+
+ private:
+  void predict(const Level& level) {
+    const std::uint32_t* near = level.neighbours.data();
+    const std::int8_t* share = level.shares.data();
+    for (std::uint32_t row : level.rows) {
+      double sum[3] = {};
+      for (std::uint32_t k = 0; k < level.width; ++k, ++near, ++share)
+        for (int axis = 0; axis < 3; ++axis) sum[axis] += *share * got_[3 * std::size_t{*near} + axis];
+      for (int axis = 0; axis < 3; ++axis) got_[3 * std::size_t{row} + axis] = sum[axis] / kWhole;
+    }
+  }
+
+  void read(const Level& level, std::size_t number) {
+    if (!bits_.bit(0)) return;
+    const double size = step_ * std::pow(kFinerSteps, static_cast<double>(number) - static_cast<double>(sent_));
+    for (std::size_t i = 0; i < level.rows.size(); ++i) {
+      const std::size_t around = number ? moves_near(level, i) : 3;
+      if (!bits_.bit(1 + around)) continue;
+      std::size_t before = 0;
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        if ((axis < 2 || before) && !bits_.bit(5 + (2 * axis + before) * 4 + around)) continue;
+        before = 1;
+        const bool negative = bits_.number(1);
+        int count = 1;
+        while (count < 14 && bits_.bit(29 + static_cast<std::size_t>(std::min(count, 6) - 1) * 4 + around)) ++count;
+        if (count == 14) count += bits_.growing();
+        const std::size_t place = 3 * std::size_t{level.rows[i]} + axis;
+        steps_[place] = count;
+        got_[place] += (negative ? -count : count) * size;
+      }
+    }
+  }
+
+  // 0 to 3, by how many steps the four nearest neighbours have.
+  std::size_t moves_near(const Level& level, std::size_t row) const {
+    std::int64_t total = 0;
+    for (std::uint32_t k = 0; k < std::min(level.width, 4u); ++k) {
+      const std::size_t place = 3 * std::size_t{level.neighbours[row * level.width + k]};
+      total += std::int64_t{steps_[place]} + steps_[place + 1] + steps_[place + 2];
+    }
+    return total > 3 ? 3 : total > 1 ? 2 : total ? 1 : 0;
+  }
+
+  const Basis& basis_;
+  std::string where_;
+  BitReader bits_;
+  double step_ = 0;
+  std::size_t sent_ = 0;
+  std::vector<int> steps_;   // without signs
+  std::vector<double> got_;  // millimetres
+};
+
+// Points turned and scaled about a point, then moved.
+class Similarity {
+ public:
+  Similarity(const Placement& placement, const double* about) {
+    const double* t = placement.turn;
+    double x = t[0], y = t[1], z = t[2], w = std::sqrt(std::max(1 - (x * x + y * y + z * z), 0.0));
+    const double length = std::sqrt(x * x + y * y + z * z + w * w), scale = std::exp(placement.growth);
+    x /= length, y /= length, z /= length, w /= length;
+    const double turn[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),
+                            2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+                            2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y)};
+    for (int i = 0; i < 9; ++i) matrix_[i] = scale * turn[i];
+    for (int i = 0; i < 3; ++i) about_[i] = about[i], move_[i] = about[i] + placement.move[i];
+  }
+
+  void apply(const double* from, double* to) const {
+    const double off[3] = {from[0] - about_[0], from[1] - about_[1], from[2] - about_[2]};
+    for (int i = 0; i < 3; ++i)
+      to[i] = matrix_[3 * i] * off[0] + matrix_[3 * i + 1] * off[1] + matrix_[3 * i + 2] * off[2] + move_[i];
+  }
+
+ private:
+  double matrix_[9], about_[3], move_[3];
+};
+
+inline std::vector<Placement> placements(const Section& section, bool half, bool turned, std::size_t most,
+                                         const std::string& where) {
+  const std::size_t width = half ? 2 : 4, each = turned ? 7 : 4, count = section.size / (width * each);
+  if (section.size % (width * each) || !count || count > most) throw Error(where, "of a size that fits no placements");
+  std::vector<Placement> found(count);
+  const std::uint8_t* next = section.data;
+  for (Placement& one : found) {
+    double values[7] = {};
+    for (std::size_t i = 0; i < each; ++i, next += width)
+      values[turned || i < 3 ? i : 6] = half ? float16(next) : float32(next);
+    double squares = 0;
+    for (int i = 0; i < 3; ++i) {
+      one.move[i] = values[i];
+      one.turn[i] = values[3 + i];
+      squares += one.turn[i] * one.turn[i];
+      if (!(std::abs(one.move[i]) <= kLargestMove && std::abs(one.turn[i]) <= 1)) throw Error(where, "a move or a turn beyond limits");
+    }
+    one.growth = values[6];
+    if (!(std::abs(one.growth) <= kLargestGrowth && squares <= kRoundedTurn))
+      throw Error(where, "expected a move, part of a quaternion, a scale");
+  }
+  return found;
+}
+
+}  // namespace detail
+
+// The bytes of a file, 1 GiB at most.
+inline Bytes read_file(const std::string& path) {
+  std::ifstream file(path, std::ios::binary | std::ios::ate);
+  const std::streamoff size = file ? static_cast<std::streamoff>(file.tellg()) : -1;
+  if (size < 0 || size > std::streamoff{1} << 30) throw Error(path, "can't be read, expected a file of at most 1 GiB");
+  Bytes data(static_cast<std::size_t>(size));
+  file.seekg(0);
+  if (size && !file.read(reinterpret_cast<char*>(data.data()), size)) throw Error(path, "can't be read");
+  return data;
+}
+
+// A basis, of the bytes of a .fpbasis. Throws Error where they are none, are damaged, or don't fit each other.
+inline Basis read_basis(const Bytes& file, const std::string& where) {
+  if (file.size() < 20 || std::memcmp(file.data(), "FPBA", 4)) throw Error(where, "no basis, expected a file that begins with FPBA");
+  if (file[4] != 1 || file[5] || file[6] || file[7]) throw Error(where, "expected version 1 without flags");
+  const std::uint32_t size = detail::little32(file.data() + 16);
+  if (size > kMostBody) throw Error(where, "expected at most 268435456 bytes of sections");
+  const Bytes body = detail::Inflater(file.data() + 20, file.size() - 20, where).inflated(size);
+  Basis basis = detail::BasisReader(body, where).basis();
+  std::copy_n(file.data() + 8, 8, basis.digest.begin());
+  return basis;
+}
+
+// A person, of the bytes of a .fpb of version 2. Throws Error where they are none, are damaged, have a section that is
+// unknown and required, or numbers beyond limits.
+inline Person read_person(const Bytes& file, const std::string& where) {
+  using namespace detail;
+  if (file.size() < 8 || std::memcmp(file.data(), "FPBC\2\0", 6)) throw Error(where, "no person, expected a file that begins with FPBC and the version 2");
+  const std::size_t end = file.size() - 4;
+  if (end < 8 || crc32(file.data(), end) != little32(file.data() + end)) throw Error(where, "is damaged: its CRC differs");
+  if (file[6] || file[7]) throw Error(where, "flags, expected none");
+  Person person;
+  bool named = false;
+  int kind_of_parts = 0;
+  for (const Section& one : sections(file.data() + 8, end - 8, where)) {
+    if (one.kind == 1) {
+      if (one.size != 8) throw Error(where + " -> basis", "expected 8 bytes");
+      std::copy_n(one.data, 8, person.basis.begin());
+      named = true;
+    } else if (one.kind == 2) {
+      if (one.size % 2 || !one.size || one.size / 2 > kMostModes) throw Error(where + " -> modes", "expected 1 to 4,096 of 2 bytes");
+      for (std::size_t i = 0; i < one.size; i += 2) person.modes.push_back(float16(one.data + i));
+    } else if (one.kind == 3) {
+      person.whole = placements(one, false, true, 1, where + " -> placement");
+    } else if (one.kind == 4 || one.kind == 5) {
+      if (kind_of_parts) throw Error(where, "parts with turns and without, expected one of them");
+      kind_of_parts = one.kind;
+      person.parts = placements(one, true, one.kind == 5, kMostParts, where + " -> parts");
+    } else if (one.kind == 6) {
+      person.points.assign(one.data, one.data + one.size);
+    } else if (one.required) {
+      throw Error(where, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
+    } else {
+      person.skipped.push_back(one.kind);
+    }
+  }
+  if (!named) throw Error(where, "no person: it names no basis");
+  for (double weight : person.modes)
+    if (!(std::abs(weight) <= kLargestWeight)) throw Error(where + " -> modes", "expected at most 100 standard deviations");
+  return person;
+}
+
+// Points of the basis by weights of its first modes.
+inline std::vector<double> shaped(const Basis& basis, const std::vector<double>& weights) {
+  constexpr std::size_t kBlock = 1024;  // sums that stay in the nearest cache while modes pass
+  const std::size_t count = basis.points();
+  std::vector<double> points = basis.mean;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    for (std::size_t start = 0; start < count; start += kBlock) {
+      double sums[kBlock] = {};
+      const std::size_t size = std::min(kBlock, count - start);
+      for (std::size_t k = 0; k < weights.size(); ++k) {
+        const std::int16_t* steps = basis.modes.data() + (3 * k + axis) * count + start;
+        const double weight = basis.step * weights[k];
+        for (std::size_t i = 0; i < size; ++i) sums[i] += weight * steps[i];
+      }
+      for (std::size_t i = 0; i < size; ++i) points[3 * (start + i) + axis] += sums[i];
+    }
+  }
+  return points;
+}
+
+// Where the joints of a basis are, x y z of each, by its points.
+inline std::vector<double> joint_places(const Basis& basis, const std::vector<double>& points) {
+  std::vector<double> places(3 * basis.joints.size());
+  for (std::size_t j = 0; j < basis.joints.size(); ++j)
+    for (std::size_t i = 0; i < basis.joints[j].points.size(); ++i)
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        places[3 * j + axis] += double{basis.joints[j].shares[i]} * points[3 * std::size_t{basis.joints[j].points[i]} + axis];
+  return places;
+}
+
+// Points and joints of a person. Throws Error where it is on another basis, or does not fit it.
+inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::string& where) {
+  if (person.basis != basis.digest) throw Error(where, "a person on another basis, expected one on " + basis.name);
+  if (person.modes.size() > basis.mode_count) throw Error(where, "more modes than its basis has");
+  if (!person.parts.empty() && person.parts.size() != basis.parts.size()) throw Error(where, "not the parts of its basis");
+  std::vector<double> points = shaped(basis, person.modes), mean = basis.mean;
+  const double origin[3] = {};
+  for (const Placement& placement : person.whole) {
+    const detail::Similarity way(placement, origin);
+    for (std::size_t i = 0; i < points.size(); i += 3) {
+      way.apply(&points[i], &points[i]);
+      way.apply(&mean[i], &mean[i]);
+    }
+  }
+  for (std::size_t p = 0; p < person.parts.size(); ++p) {
+    const Part& part = basis.parts[p];
+    const std::vector<double>& from = part.with_modes ? points : mean;
+    double middle[3] = {}, count = 0;
+    for (const auto& [first, after] : part.runs) {
+      for (std::size_t i = first; i < after; ++i)
+        for (std::size_t axis = 0; axis < 3; ++axis) middle[axis] += from[3 * i + axis];
+      count += after - first;
+    }
+    for (double& value : middle) value /= count;
+    const detail::Similarity way(person.parts[p], middle);
+    for (const auto& [first, after] : part.runs)
+      for (std::size_t i = first; i < after; ++i) way.apply(&from[3 * i], &points[3 * i]);
+  }
+  if (!person.points.empty()) {
+    detail::Offsets offsets(basis, person.points, where + " -> points");
+    const std::vector<double>& all = offsets.all();
+    for (std::size_t i = 0; i < points.size(); ++i) points[i] += all[i];
+  }
+  std::vector<double> joints = joint_places(basis, points);
+  return {std::move(points), std::move(joints)};
+}
+
+}  // namespace facepipe

@@ -1,0 +1,29 @@
+"""samples/cpp rebuilds persons as Python does, and gives the same verdicts on damaged ones; it needs g++."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import person_corpus
+import pytest
+from device_readers import SANITIZED, corpus_disagreements, cpp_driver
+from rebuilt_people import PEOPLE, assert_rebuilt_as_python
+
+pytestmark = pytest.mark.slow  # compilers take seconds
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("name", PEOPLE)
+def test_points_and_joints_are_pythons(name: str, tmp_path: Path) -> None:
+    assert_rebuilt_as_python(cpp_driver(), name, tmp_path)
+
+
+@pytest.mark.gate
+def test_verdicts_are_pythons(tmp_path: Path) -> None:
+    person_corpus.write(tmp_path, 400, seed=1)
+    assert corpus_disagreements(cpp_driver(), tmp_path) == []
+
+
+def test_no_case_of_20_000_goes_out_of_bounds_or_is_judged_otherwise(tmp_path: Path) -> None:
+    assert sum(person_corpus.write(tmp_path, 20_000).values()) == 20_000
+    assert corpus_disagreements(cpp_driver(*SANITIZED), tmp_path) == []

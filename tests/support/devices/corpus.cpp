@@ -1,0 +1,81 @@
+// What samples/cpp/facepipe.hpp makes of the cases of tests/support/person_corpus.py.
+//
+//   corpus persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
+//   corpus bases CASES           the same of bases, and of the points that all of their modes give
+//   corpus points BASIS FPB OUT  points and joints as float64
+//   corpus time BASIS FPB        milliseconds of processor time: the basis, then a person
+
+#include "../../../samples/cpp/facepipe.hpp"
+
+#include <cstdio>
+#include <ctime>
+
+using namespace facepipe;
+
+static std::vector<Bytes> cases(const char* path) {
+  const Bytes file = read_file(path);
+  std::vector<Bytes> found;
+  for (std::size_t place = 0; place < file.size();) {
+    const std::size_t size = detail::little32(&file[place]);
+    found.emplace_back(file.begin() + place + 4, file.begin() + place + 4 + size);
+    place += 4 + size;
+  }
+  return found;
+}
+
+static void figures(const std::vector<double>& values) {
+  double size = 0, weighted = 0;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    size += std::abs(values[i]);
+    weighted += values[i] * (1 + i % 7);
+  }
+  const double count = values.empty() ? 1.0 : static_cast<double>(values.size());
+  std::printf(" %.9g %.9g", size / count, weighted / count);
+}
+
+template <class Case>
+static void line(const Case& of) {
+  try {
+    const Rebuilt made = of();
+    std::printf("ok");
+    figures(made.points);
+    figures(made.joints);
+    std::printf("\n");
+  } catch (const Error& error) {
+    std::printf("no\n");
+    if (std::strchr(error.what(), '\n')) std::abort();
+  }
+}
+
+static double seconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
+
+int main(int count, char** words) {
+  const std::string what = count > 2 ? words[1] : "";
+  if (what == "bases") {
+    for (const Bytes& one : cases(words[2]))
+      line([&] {
+        const Basis basis = read_basis(one, "case");
+        const std::vector<double> points = shaped(basis, std::vector<double>(basis.mode_count, 1.0));
+        return Rebuilt{points, joint_places(basis, points)};
+      });
+    return 0;
+  }
+  const double before = seconds();
+  const Basis basis = read_basis(read_file(words[2]), words[2]);
+  if (what == "persons") {
+    for (const Bytes& one : cases(words[3])) line([&] { return rebuild(basis, read_person(one, "case"), "case"); });
+    return 0;
+  }
+  const double loaded = seconds();
+  const Bytes data = read_file(words[3]);
+  if (what == "time") {
+    for (int i = 0; i < 20; ++i) rebuild(basis, read_person(data, words[3]), words[3]);
+    std::printf("%.1f %.2f\n", 1e3 * (loaded - before), 50 * (seconds() - loaded));
+    return 0;
+  }
+  const Rebuilt made = rebuild(basis, read_person(data, words[3]), words[3]);
+  std::ofstream out(words[4], std::ios::binary);
+  for (const std::vector<double>* values : {&made.points, &made.joints})
+    out.write(reinterpret_cast<const char*>(values->data()), static_cast<std::streamsize>(8 * values->size()));
+  return 0;
+}

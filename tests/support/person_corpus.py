@@ -1,0 +1,372 @@
+"""Persons and bases as bytes, sound ones and damaged ones, on which every reader must give the verdicts of Python.
+
+`write` makes a folder of corpora: cases (`NAME.cases`: uint32 length, bytes, one after another), verdicts
+(`NAME.verdicts`: a line a case) and, for persons, the basis that they are on (`NAME.fpbasis`). A verdict is `no`, or
+`ok` and four figures in nine digits: of the coordinates of points, then of joints, the mean size, and the mean of
+each times 1 + i % 7. Figures of other readers may differ as rounding does: `disagreements` says which differ by more.
+
+    python tests/support/person_corpus.py FOLDER --cases 20000
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from places import REPOSITORY
+from small_sources import made
+
+from facepipe.core.errors import InputError
+from facepipe.geometry.point_levels import PointLevels
+from facepipe.payload.basis import (
+    BasisContent,
+    JointPlace,
+    MeshRun,
+    RigidRows,
+    basis_body,
+    decode_basis,
+    digest_of,
+    encode_basis,
+)
+from facepipe.payload.person import PersonContent, decode_person, encode_person
+from facepipe.payload.sections import Section, pack, unpack
+from facepipe.verbs.person_basis import Basis, head_basis, template_basis
+from facepipe.verbs.whole_faces import Topology
+
+Rng = random.Random
+SHARES = {"square": 0.45, "studio": 0.3, "head": 0.025, "bases": 0.225}  # of the cases
+_NEAR, _NEARLY = 1e-4, 1e-6  # millimetres, and of the size, that figures may differ by
+_HEAD = 20  # bytes of a basis before its body
+_HALVES = (0x7E00, 0xFE00, 0x7C00, 0xFC00, 0x7BFF, 0x5640, 0x5641, 0xD640, 0x3C00, 0x3C01, 0x4200, 0x4201, 0x8000, 1)
+_FLOATS = (np.nan, np.inf, -np.inf, 1e4, 10001, 1, 1.0000001, 3, 3.0000002, 1e-45, 3e38, -0.0, 0.7071068)
+
+
+@cache
+def grid_basis(side: int = 12, modes: int = 3) -> BasisContent:
+    """Of a bumpy square of points, and five points beside it that are in no level."""
+    rng = np.random.default_rng(0)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
+    points = np.vstack([np.stack([x, y, np.sin(x)], axis=1) * 5.0, rng.normal(size=(5, 3)) * 20])
+    corners = np.array([i for i in range(side * side - side) if i % side < side - 1])
+    triangles = np.vstack([np.stack([corners, corners + 1, corners + side], axis=1)])
+    levels = PointLevels.of(points, triangles, np.arange(side * side))
+    return BasisContent(
+        name="square",
+        meshes=(MeshRun("Square", side * side), MeshRun("Beside", 5)),
+        topology=bytes(range(32)),
+        grid=1000,
+        places=np.rint(1000 * points).astype(np.int64),
+        coarsest=levels.first,
+        levels=levels.levels,
+        step=0.5,
+        modes=rng.integers(-30_000, 30_000, (modes, 3, len(points))).astype(np.int16),
+        parts=(RigidRows(np.arange(144, 149), with_modes=False), RigidRows(np.array([0, 1, 7]), with_modes=True)),
+        joints=(JointPlace("root/jaw", np.array([3, 9]), np.array([0.25, 0.75])),),
+    )
+
+
+@cache
+def basis(name: str) -> Basis:
+    """That of persons of a corpus."""
+    if name == "head":
+        return head_basis()
+    if name == "studio":
+        return template_basis(made(0), "studio")
+    content = grid_basis()
+    topology = Topology(names=(), points=(), counts=(), indices=())
+    return Basis(
+        topology=topology,
+        content=content,
+        fitted=np.arange(len(content.places)),
+        digest=digest_of(basis_body(content)),
+    )
+
+
+@cache
+def basis_file(name: str) -> bytes:
+    """The bytes of a basis."""
+    if name == "head":  # the package's: deflating it takes 5 seconds
+        return (REPOSITORY / "facepipe" / "heads" / "data" / "head.fpbasis").read_bytes()
+    return encode_basis(basis(name).content)
+
+
+def write(folder: Path, cases: int, seed: int = 0) -> dict[str, int]:
+    """Write the corpora; how many cases each has."""
+    counts = {name: max(round(share * cases), 1) for name, share in SHARES.items()}
+    for name, count in counts.items():
+        data = list(corpus(name, count, Rng(f"{name} {seed}")))
+        (folder / f"{name}.cases").write_bytes(b"".join(struct.pack("<I", len(one)) + one for one in data))
+        judged = map(basis_verdict, data) if name == "bases" else (person_verdict(basis(name), one) for one in data)
+        (folder / f"{name}.verdicts").write_text("".join(f"{line}\n" for line in judged))
+        if name != "bases":
+            (folder / f"{name}.fpbasis").write_bytes(basis_file(name))
+    return counts
+
+
+def disagreements(folder: Path, name: str, lines: Sequence[str]) -> list[str]:
+    """Where another reader's verdicts on a corpus are not Python's."""
+    expected = (folder / f"{name}.verdicts").read_text().splitlines()
+    if len(lines) != len(expected):
+        return [f"{name}: {len(lines)} verdicts, expected {len(expected)}"]
+    pairs = enumerate(zip(expected, lines, strict=True))
+    return [f"{name}, case {i}: {other}, expected {own}" for i, (own, other) in pairs if not _same(own, other)]
+
+
+def _same(own: str, other: str) -> bool:
+    if own == "no" or other == "no" or not other.startswith("ok "):
+        return own == other
+    first, second = (np.array(line.split()[1:], np.float64) for line in (own, other))
+    sizes = np.repeat(first[[0, 2]], 2)
+    return len(second) == 4 and bool((np.abs(first - second) <= _NEAR + _NEARLY * sizes).all())
+
+
+def person_verdict(basis: Basis, data: bytes) -> str:
+    """The line of a person."""
+    try:
+        points = basis.rebuilt(decode_person(data, "case"), "case")
+    except InputError:
+        return "no"
+    return _line(points, basis.content)
+
+
+def basis_verdict(data: bytes) -> str:
+    """The line of a basis: of the points that all its modes give. Digests are the names that others give them."""
+    try:
+        content, _ = decode_basis(data, "case", trusted=True)
+    except InputError:
+        return "no"
+    return _line(content.mean + content.step * content.modes.sum(axis=0, dtype=np.int64).T, content)
+
+
+def _line(points: np.ndarray, content: BasisContent) -> str:
+    joints = [joint.shares @ points[joint.points] for joint in content.joints]
+    figures = []
+    for values in (points.ravel(), np.ravel(joints)):
+        count = max(len(values), 1)
+        figures += [np.abs(values).sum() / count, (values * (1 + np.arange(len(values)) % 7)).sum() / count]
+    return " ".join(["ok", *(f"{figure:.9g}" for figure in figures)])
+
+
+# ---- cases
+
+
+def corpus(name: str, count: int, rng: Rng) -> Iterator[bytes]:
+    """Cases: a third sound."""
+    sound = sound_basis if name == "bases" else lambda rng: sound_person(basis(name), rng)
+    damages = _BASIS_DAMAGES if name == "bases" else _PERSON_DAMAGES
+    for _ in range(count):
+        data = sound(rng)
+        yield data if rng.random() < 1 / 3 else rng.choice(damages)(rng, data)
+
+
+def sound_person(basis: Basis, rng: Rng) -> bytes:
+    """A person, of some of the layers that there are."""
+    draw = np.random.default_rng(rng.getrandbits(32))
+    parts, count, modes = len(basis.rigid), len(basis.mean), len(basis.modes)
+    size = rng.choice([0.0, 0.01, 1.0, 20.0])
+    content = PersonContent(
+        basis=basis.digest, modes=draw.normal(0, size, rng.choice([0, modes, rng.randint(0, modes)])).astype(np.float16)
+    )
+    if rng.random() < 0.4:
+        content = replace(content, placement=_placements(draw, 1, 500, rng.random() < 0.2)[0].astype(np.float32))
+    if parts and rng.random() < 0.6:
+        moves = _placements(draw, parts, 3, rng.random() < 0.2)
+        moves[:, 3:6] *= rng.random() < 0.5
+        content = replace(content, parts=moves.astype(np.float16))
+    if rng.random() < 0.5:
+        offsets = draw.normal(0, rng.choice([0.01, 0.3, 30.0]), (count, 3)) * (draw.random((count, 1)) < rng.random())
+        coarse = rng.choice([None, rng.randint(0, len(basis.levels.levels))])
+        coarse = rng.randint(0, 3) if count > 10_000 else coarse  # all of a head are 20 KB, which take a second
+        content = replace(content, points=basis.levels.encode(offsets, rng.choice([0.01, 0.2, 3.0]), coarse)[0])
+    data = encode_person(content)
+    if rng.random() < 0.1:
+        data = pack([*unpack(data, "person"), Section(rng.randint(60, 127), draw.bytes(rng.randint(0, 9)), False)])
+    return data
+
+
+def _placements(draw: np.random.Generator, count: int, reach: float, half: bool) -> np.ndarray:
+    turns = draw.normal(0, 0.1, (count, 3))
+    if half:
+        turns /= np.linalg.norm(turns, axis=1, keepdims=True) * 1.0001
+    return np.hstack([draw.normal(0, reach, (count, 3)), turns, draw.normal(0, 0.1, (count, 1))])
+
+
+def sound_basis(rng: Rng) -> bytes:
+    """A small basis, deflated in one of many ways."""
+    content = rng.choice([grid_basis(), basis("studio").content, grid_basis(3, 1)])
+    if rng.random() < 0.5:
+        content = replace(content, parts=(), joints=content.joints[: rng.randint(0, 1)])
+    return sealed_basis(rng, basis_body(content))
+
+
+def sealed_basis(rng: Rng, body: bytes) -> bytes:
+    """The file of a basis with such a body."""
+    strategies = (zlib.Z_DEFAULT_STRATEGY, zlib.Z_FIXED, zlib.Z_HUFFMAN_ONLY, zlib.Z_RLE, zlib.Z_FILTERED)
+    deflater = zlib.compressobj(
+        rng.choice([0, 1, 6, 9]), zlib.DEFLATED, rng.randint(9, 15), rng.choice([1, 8]), rng.choice(strategies)
+    )
+    packed = deflater.compress(body[: len(body) // 2])
+    packed += deflater.flush(rng.choice([zlib.Z_NO_FLUSH, zlib.Z_SYNC_FLUSH])) + deflater.compress(
+        body[len(body) // 2 :]
+    )
+    return struct.pack("<4sHH8sI", b"FPBA", 1, 0, digest_of(body), len(body)) + packed + deflater.flush()
+
+
+# ---- damage
+
+
+def _sealed(body: bytes) -> bytes:
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+def _scattered(rng: Rng, data: bytes, start: int) -> bytes:
+    """Some bytes changed, mostly after the start."""
+    broken = bytearray(data)
+    for _ in range(rng.randint(1, 4) if broken else 0):
+        place = (
+            rng.randrange(len(broken))
+            if rng.random() < 0.1
+            else rng.randrange(min(start, len(broken) - 1), len(broken))
+        )
+        broken[place] = rng.choice([broken[place] ^ 1 << rng.randrange(8), rng.randrange(256), 0, 255, 127, 128])
+    return bytes(broken)
+
+
+def _cut(rng: Rng, data: bytes) -> bytes:
+    place, count = rng.randrange(len(data) + 1), rng.randint(1, 9)
+    return rng.choice(
+        [data[:place], data[:place] + data[place + count :], data[:place] + rng.randbytes(count) + data[place:]]
+    )
+
+
+def _bytes_of_person(rng: Rng, data: bytes) -> bytes:
+    return _sealed(_scattered(rng, data[:-4], 18))
+
+
+def _cut_of_person(rng: Rng, data: bytes) -> bytes:
+    return _sealed(_cut(rng, data[:-4]))
+
+
+def _unsealed(rng: Rng, data: bytes) -> bytes:
+    return rng.choice([_cut, lambda rng, data: _scattered(rng, data, 0)])(rng, data)
+
+
+def _sections(rng: Rng, data: bytes) -> bytes:
+    """Sections in another order, twice, gone, with other kinds or lengths."""
+    rows = list(unpack(data, "person"))
+    i, j = rng.randrange(len(rows)), rng.randrange(len(rows))
+    what = rng.randrange(6)
+    if what == 0:
+        rows[i], rows[j] = rows[j], rows[i]
+    elif what == 1:
+        rows.insert(i, rows[j])
+    elif what == 2:
+        rows.pop(i)
+    elif what == 3:
+        rows[i] = rows[i]._replace(kind=rng.randint(0, 127), required=rng.random() < 0.5)
+    elif what == 4:
+        rows[i] = rows[i]._replace(data=_cut(rng, rows[i].data), required=rng.random() < 0.5)
+    else:
+        rows += [Section(kind, b"", False) for kind in range(100 - rng.randint(50, 65), 100)]
+    return pack(rows)
+
+
+def _numbers(rng: Rng, data: bytes) -> bytes:
+    """Numbers at their limits, beyond them, and none."""
+    rows = list(unpack(data, "person"))
+    for _ in range(rng.randint(1, 2)):
+        i = rng.randrange(len(rows))
+        own, width = bytearray(rows[i].data), 4 if rows[i].kind in (3, 6) else 2
+        if len(own) < width:
+            continue
+        place = 0 if rows[i].kind == 6 else width * rng.randrange(len(own) // width)
+        number = struct.pack("<f", rng.choice(_FLOATS)) if width == 4 else struct.pack("<H", rng.choice(_HALVES))
+        own[place : place + width] = number
+        rows[i] = rows[i]._replace(data=bytes(own))
+    return pack(rows)
+
+
+_Damage = Callable[[Rng, bytes], bytes]
+_PERSON_DAMAGES: tuple[_Damage, ...] = (
+    _bytes_of_person,
+    _bytes_of_person,
+    _cut_of_person,
+    _unsealed,
+    _sections,
+    _numbers,
+)
+
+
+def _body_of_basis(rng: Rng, data: bytes) -> bytes:
+    """Bytes anywhere, or where counts are: among the first of the sections."""
+    body = zlib.decompress(data[_HEAD:])
+    places = [0, 0, *(body.find(section.data, 1) for section in _sections_of_basis(body))]
+    start = rng.choice(places)
+    end = start + rng.choice([12, 60, len(body)])
+    return sealed_basis(rng, body[:start] + _scattered(rng, body[start:end], 0) + body[end:])
+
+
+def _sections_of_basis(body: bytes) -> list[Section]:
+    """Those of a body that is sound."""
+    return list(unpack(_sealed(b"FPBC\2\0\0\0" + body), "basis"))
+
+
+def _rows_of_basis(rng: Rng, data: bytes) -> bytes:
+    """Sections gone, twice, of other kinds, cut."""
+    changed = _sections(rng, _sealed(b"FPBC\2\0\0\0" + zlib.decompress(data[_HEAD:])))
+    return sealed_basis(rng, changed[8:-4])
+
+
+def _cut_of_basis(rng: Rng, data: bytes) -> bytes:
+    return sealed_basis(rng, _cut(rng, zlib.decompress(data[_HEAD:])))
+
+
+def _stream(rng: Rng, data: bytes) -> bytes:
+    """A stream that is damaged under the sum of what it should be, or was."""
+    return data[:_HEAD] + _scattered(rng, data[_HEAD:-4], 0) + data[-4:]
+
+
+def _reached(rng: Rng, data: bytes) -> bytes:
+    """A damaged stream with size and sum of what it inflates to."""
+    stream = zlib.decompressobj(-15)
+    packed = _scattered(rng, data[_HEAD + 2 : -4], 0)
+    try:
+        body = stream.decompress(packed, 1 << 20)
+    except zlib.error:
+        return _stream(rng, data)
+    head = data[:16] + struct.pack("<I", len(body)) + data[_HEAD : _HEAD + 2]
+    return head + packed + struct.pack(">I", zlib.adler32(body))
+
+
+def _file_of_basis(rng: Rng, data: bytes) -> bytes:
+    return rng.choice([_cut(rng, data), _scattered(rng, data[:32], 0) + data[32:]])
+
+
+_BASIS_DAMAGES: tuple[_Damage, ...] = (
+    *(_body_of_basis, _body_of_basis, _rows_of_basis, _cut_of_basis, _stream),
+    *(_reached, _reached, _file_of_basis),
+)
+
+
+def main() -> None:
+    """Write the corpora, and say how many cases are sound."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--cases", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args()
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    for name, count in write(chosen.folder, chosen.cases, chosen.seed).items():
+        sound = (chosen.folder / f"{name}.verdicts").read_text().count("ok ")
+        print(f"{name}: {count} cases, {sound} sound")
+
+
+if __name__ == "__main__":
+    main()
