@@ -38,12 +38,12 @@ constexpr std::uint32_t kFinestGrid = 1000000;   // places in a millimetre
 constexpr std::size_t kMostSections = 64;
 constexpr std::size_t kMostModes = 4096;
 constexpr std::size_t kMostParts = 16;
-constexpr int kWhole = 64;                  // shares of neighbours are so many-th
-constexpr double kLargestWeight = 100.0;    // standard deviations
-constexpr double kLargestMove = 1e4;        // millimetres
-constexpr double kLargestGrowth = 3.0;      // logarithm of a scale
-constexpr double kRoundedTurn = 1.002;      // squares of a half turn in float16
-constexpr double kFinerSteps = 1.15;        // of each coarser level
+constexpr int kWhole = 64;                // shares of neighbours are so many-th
+constexpr double kLargestWeight = 100.0;  // standard deviations
+constexpr double kLargestMove = 1e4;      // millimetres
+constexpr double kLargestGrowth = 3.0;    // logarithm of a scale
+constexpr double kRoundedTurn = 1.002;    // squares of a half turn in float16
+constexpr double kFinerSteps = 1.15;      // of each coarser level
 
 struct Mesh {
   std::string name;
@@ -58,7 +58,7 @@ struct Level {
 };
 
 struct Part {
-  bool with_modes;                                             // moved after the modes; else it is the mean's
+  bool with_modes;                                            // moved after the modes; else it is the mean's
   std::vector<std::pair<std::uint32_t, std::uint32_t>> runs;  // first point, and the one after the last
 };
 
@@ -90,11 +90,11 @@ struct Placement {
 
 struct Person {
   Digest basis{};
-  std::vector<double> modes;       // weights of the first modes
-  std::vector<Placement> whole;    // none or one
-  std::vector<Placement> parts;    // none or one for each of the basis's
-  Bytes points;                    // offsets by levels
-  std::vector<int> skipped;        // kinds of sections that are there and were left out
+  std::vector<double> modes;     // weights of the first modes
+  std::vector<Placement> whole;  // none or one
+  std::vector<Placement> parts;  // none or one for each of the basis's
+  Bytes points;                  // offsets by levels
+  std::vector<int> skipped;      // kinds of sections that are there and were left out
 };
 
 struct Rebuilt {
@@ -142,7 +142,12 @@ inline double float16(const std::uint8_t* data) {
 inline bool is_utf8(const std::uint8_t* text, std::size_t size) {
   for (std::size_t i = 0; i < size;) {
     const std::uint8_t first = text[i];
-    const std::size_t more = first < 0x80 ? 0 : first < 0xC2 ? 9 : first < 0xE0 ? 1 : first < 0xF0 ? 2 : first < 0xF5 ? 3 : 9;
+    const std::size_t more = first < 0x80   ? 0
+                             : first < 0xC2 ? 9
+                             : first < 0xE0 ? 1
+                             : first < 0xF0 ? 2
+                             : first < 0xF5 ? 3
+                                            : 9;
     if (more >= size - i) return false;
     for (std::size_t k = 1; k <= more; ++k)
       if ((text[i + k] & 0xC0) != 0x80) return false;
@@ -348,8 +353,9 @@ class Inflater {
   void copy(std::uint32_t symbol_of_length, const Codes& distances) {
     static const std::uint16_t lengths[] = {3,  4,  5,  6,  7,  8,  9,  10, 11,  13,  15,  17,  19,  23, 27,
                                             31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227, 258};
-    static const std::uint16_t places[] = {1,   2,   3,   4,   5,   7,    9,    13,   17,   25,   33,   49,   65,    97,    129,
-                                           193, 257, 385, 513, 769, 1025, 1537, 2049, 3073, 4097, 6145, 8193, 12289, 16385, 24577};
+    static const std::uint16_t places[] = {1,    2,    3,    4,    5,    7,    9,    13,    17,    25,
+                                           33,   49,   65,   97,   129,  193,  257,  385,   513,   769,
+                                           1025, 1537, 2049, 3073, 4097, 6145, 8193, 12289, 16385, 24577};
     const std::uint32_t which = symbol_of_length - 257;
     if (which > 28) damaged();
     const std::uint32_t length = lengths[which] + (which < 8 || which == 28 ? 0 : bits(which / 4 - 1));
@@ -383,11 +389,13 @@ inline std::vector<Section> sections(const std::uint8_t* data, std::size_t size,
     const std::string trail = where + " -> section " + std::to_string(found.size() + 1);
     if (found.size() == kMostSections) throw Error(where, "more than 64 sections");
     const int kind = data[place] & 127;
-    if (kind <= (found.empty() ? 0 : found.back().kind)) throw Error(trail, "expected each kind once, ascending from 1");
+    if (kind <= (found.empty() ? 0 : found.back().kind))
+      throw Error(trail, "expected each kind once, ascending from 1");
     const bool required = data[place++] > 127;
     std::uint64_t length = 0;
     for (int group = 0;; ++group) {
-      if (group == 5 || place == size || (group && !data[place])) throw Error(trail, "a length without end or with needless bytes");
+      if (group == 5 || place == size || (group && !data[place]))
+        throw Error(trail, "a length without end or with needless bytes");
       length |= static_cast<std::uint64_t>(data[place] & 127) << 7 * group;
       if (data[place++] < 128) break;
     }
@@ -446,7 +454,8 @@ class BasisReader {
     Reader reader = open(3);
     reader.take(32);  // of the topology, which a device has no faces to compare with
     const std::uint32_t grid = reader.four();
-    if (!grid || grid > kFinestGrid) reader.wrong(std::to_string(grid) + " places in a millimetre, expected 1 to 1000000");
+    if (!grid || grid > kFinestGrid)
+      reader.wrong(std::to_string(grid) + " places in a millimetre, expected 1 to 1000000");
     const std::vector<std::int64_t> changes = reader.planes(3 * std::size_t{points_});
     reader.end();
     made_.mean.resize(changes.size());
@@ -466,7 +475,8 @@ class BasisReader {
     std::uint64_t rows = 0, neighbours = 0;
     for (std::uint32_t& size : sizes) rows += size = reader.four();
     made_.levels.resize(count);
-    for (std::size_t i = 0; i < count; ++i) neighbours += std::uint64_t{made_.levels[i].width = reader.byte()} * sizes[i + 1];
+    for (std::size_t i = 0; i < count; ++i)
+      neighbours += std::uint64_t{made_.levels[i].width = reader.byte()} * sizes[i + 1];
     if (rows > points_) reader.wrong(std::to_string(rows) + " points of levels, expected at most those of meshes");
     const std::vector<std::int64_t> steps = reader.planes(static_cast<std::size_t>(rows));
     const std::vector<std::int64_t> near = reader.planes(static_cast<std::size_t>(neighbours));
@@ -501,7 +511,8 @@ class BasisReader {
     return rows;
   }
 
-  static void read_neighbours(Reader& reader, const std::int64_t* away, Level& level, const std::vector<bool>& coarser) {
+  static void read_neighbours(Reader& reader, const std::int64_t* away, Level& level,
+                              const std::vector<bool>& coarser) {
     const std::size_t count = level.rows.size(), width = level.width;
     const std::uint8_t* shares = reader.take(count, width);
     level.neighbours.resize(count * width);
@@ -571,7 +582,8 @@ class BasisReader {
       std::uint32_t after = 0;
       for (std::size_t i = 0; i < count; ++i) {
         const std::uint32_t first = little32(runs + 8 * i), last = little32(runs + 8 * i + 4);
-        if (first < after || first >= last || last > points_) reader.wrong("runs of a part that don't ascend, or leave the meshes");
+        if (first < after || first >= last || last > points_)
+          reader.wrong("runs of a part that don't ascend, or leave the meshes");
         part.runs.emplace_back(first, after = last);
       }
       if (with_modes > 1 || !count) reader.wrong("a part of no kind, or without points");
@@ -587,7 +599,8 @@ class BasisReader {
       for (std::size_t i = 0; i < count; ++i) joint.points.push_back(reader.four());
       for (std::size_t i = 0; i < count; ++i) joint.shares.push_back(float32(reader.take(4)));
       for (std::size_t i = 0; i < count; ++i)
-        if (joint.points[i] >= points_ || !std::isfinite(joint.shares[i])) reader.wrong("a joint of points that are not there");
+        if (joint.points[i] >= points_ || !std::isfinite(joint.shares[i]))
+          reader.wrong("a joint of points that are not there");
       if (!count) reader.wrong("a joint of no points");
       made_.joints.push_back(std::move(joint));
     }
@@ -668,12 +681,17 @@ class BitReader {
 class Offsets {
  public:
   Offsets(const Basis& basis, const Bytes& data, const std::string& where)
-      : basis_(basis), where_(where), bits_(data.data() + std::min<std::size_t>(5, data.size()),
-        data.size() < 5 ? 0 : data.size() - 5, 1 + 4 + 24 + 24, where), steps_(3 * basis.points()), got_(3 * basis.points()) {
+      : basis_(basis),
+        where_(where),
+        bits_(data.data() + std::min<std::size_t>(5, data.size()), data.size() < 5 ? 0 : data.size() - 5,
+              1 + 4 + 24 + 24, where),
+        steps_(3 * basis.points()),
+        got_(3 * basis.points()) {
     if (data.size() < 5) throw Error(where_, "expected at least 5 bytes");
     step_ = float32(data.data());
     sent_ = data[4];
-    if (!(step_ > 0 && step_ <= kLargestMove)) throw Error(where_, "expected steps of more than 0 and at most 10,000 mm");
+    if (!(step_ > 0 && step_ <= kLargestMove))
+      throw Error(where_, "expected steps of more than 0 and at most 10,000 mm");
     if (sent_ > basis.levels.size()) throw Error(where_, "more levels than the basis has");
   }
 
@@ -782,7 +800,8 @@ inline std::vector<Placement> placements(const Section& section, bool half, bool
       one.move[i] = values[i];
       one.turn[i] = values[3 + i];
       squares += one.turn[i] * one.turn[i];
-      if (!(std::abs(one.move[i]) <= kLargestMove && std::abs(one.turn[i]) <= 1)) throw Error(where, "a move or a turn beyond limits");
+      if (!(std::abs(one.move[i]) <= kLargestMove && std::abs(one.turn[i]) <= 1))
+        throw Error(where, "a move or a turn beyond limits");
     }
     one.growth = values[6];
     if (!(std::abs(one.growth) <= kLargestGrowth && squares <= kRoundedTurn))
@@ -806,7 +825,8 @@ inline Bytes read_file(const std::string& path) {
 
 // A basis, of the bytes of a .fpbasis. Throws Error where they are none, are damaged, or don't fit each other.
 inline Basis read_basis(const Bytes& file, const std::string& where) {
-  if (file.size() < 20 || std::memcmp(file.data(), "FPBA", 4)) throw Error(where, "no basis, expected a file that begins with FPBA");
+  if (file.size() < 20 || std::memcmp(file.data(), "FPBA", 4))
+    throw Error(where, "no basis, expected a file that begins with FPBA");
   if (file[4] != 1 || file[5] || file[6] || file[7]) throw Error(where, "expected version 1 without flags");
   const std::uint32_t size = detail::little32(file.data() + 16);
   if (size > kMostBody) throw Error(where, "expected at most 268435456 bytes of sections");
@@ -820,9 +840,11 @@ inline Basis read_basis(const Bytes& file, const std::string& where) {
 // unknown and required, or numbers beyond limits.
 inline Person read_person(const Bytes& file, const std::string& where) {
   using namespace detail;
-  if (file.size() < 8 || std::memcmp(file.data(), "FPBC\2\0", 6)) throw Error(where, "no person, expected a file that begins with FPBC and the version 2");
+  if (file.size() < 8 || std::memcmp(file.data(), "FPBC\2\0", 6))
+    throw Error(where, "no person, expected a file that begins with FPBC and the version 2");
   const std::size_t end = file.size() - 4;
-  if (end < 8 || crc32(file.data(), end) != little32(file.data() + end)) throw Error(where, "is damaged: its CRC differs");
+  if (end < 8 || crc32(file.data(), end) != little32(file.data() + end))
+    throw Error(where, "is damaged: its CRC differs");
   if (file[6] || file[7]) throw Error(where, "flags, expected none");
   Person person;
   bool named = false;
@@ -833,7 +855,8 @@ inline Person read_person(const Bytes& file, const std::string& where) {
       std::copy_n(one.data, 8, person.basis.begin());
       named = true;
     } else if (one.kind == 2) {
-      if (one.size % 2 || !one.size || one.size / 2 > kMostModes) throw Error(where + " -> modes", "expected 1 to 4,096 of 2 bytes");
+      if (one.size % 2 || !one.size || one.size / 2 > kMostModes)
+        throw Error(where + " -> modes", "expected 1 to 4,096 of 2 bytes");
       for (std::size_t i = 0; i < one.size; i += 2) person.modes.push_back(float16(one.data + i));
     } else if (one.kind == 3) {
       person.whole = placements(one, false, true, 1, where + " -> placement");
@@ -851,7 +874,8 @@ inline Person read_person(const Bytes& file, const std::string& where) {
   }
   if (!named) throw Error(where, "no person: it names no basis");
   for (double weight : person.modes)
-    if (!(std::abs(weight) <= kLargestWeight)) throw Error(where + " -> modes", "expected at most 100 standard deviations");
+    if (!(std::abs(weight) <= kLargestWeight))
+      throw Error(where + " -> modes", "expected at most 100 standard deviations");
   return person;
 }
 
@@ -881,7 +905,8 @@ inline std::vector<double> joint_places(const Basis& basis, const std::vector<do
   for (std::size_t j = 0; j < basis.joints.size(); ++j)
     for (std::size_t i = 0; i < basis.joints[j].points.size(); ++i)
       for (std::size_t axis = 0; axis < 3; ++axis)
-        places[3 * j + axis] += double{basis.joints[j].shares[i]} * points[3 * std::size_t{basis.joints[j].points[i]} + axis];
+        places[3 * j + axis] +=
+            double{basis.joints[j].shares[i]} * points[3 * std::size_t{basis.joints[j].points[i]} + axis];
   return places;
 }
 
@@ -889,7 +914,8 @@ inline std::vector<double> joint_places(const Basis& basis, const std::vector<do
 inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::string& where) {
   if (person.basis != basis.digest) throw Error(where, "a person on another basis, expected one on " + basis.name);
   if (person.modes.size() > basis.mode_count) throw Error(where, "more modes than its basis has");
-  if (!person.parts.empty() && person.parts.size() != basis.parts.size()) throw Error(where, "not the parts of its basis");
+  if (!person.parts.empty() && person.parts.size() != basis.parts.size())
+    throw Error(where, "not the parts of its basis");
   std::vector<double> points = shaped(basis, person.modes), mean = basis.mean;
   const double origin[3] = {};
   for (const Placement& placement : person.whole) {
@@ -920,6 +946,61 @@ inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::stri
   }
   std::vector<double> joints = joint_places(basis, points);
   return {std::move(points), std::move(joints)};
+}
+
+// Bone coefficients: of m joints in each of T frames, relative to rest.
+struct Poses {
+  std::size_t joints = 0, frames = 0;
+  double meters_per_unit = 0;  // of translations
+  Digest joints_hash{};        // of the skeleton's paths, which a device compares with what `apply-bones --info` prints
+  std::vector<float> times;    // seconds; none: poses
+  std::vector<double> values;  // T m 9: tx ty tz rx ry rz sx sy sz, at rest 0 0 0 0 0 0 1 1 1
+};
+
+// Bone coefficients, of the bytes of a .fpb of version 1.
+inline Poses read_poses(const Bytes& file, const std::string& where) {
+  using namespace detail;
+  if (file.size() < 36 || std::memcmp(file.data(), "FPBC\1\0", 6))
+    throw Error(where, "no bone coefficients, expected FPBC and the version 1");
+  const std::uint8_t* data = file.data();
+  const std::uint32_t flags = data[6] | data[7] << 8, m = little32(data + 8), frames = little32(data + 12),
+                      stored = little32(data + 16);
+  const bool wide = flags & 1, timed = flags & 4, sparse = flags & 8;
+  if (flags > 15 || (timed && !(flags & 2))) throw Error(where, "flags that don't fit each other");
+  if (!frames || (!(flags & 2) && frames > 1) || !stored || stored > m || (!sparse && stored < m))
+    throw Error(where, "counts that don't fit each other");
+  const double numbers = 9.0 * frames * m, kept = 9.0 * frames * stored;  // beyond 2^53 they are refused anyway
+  const double size = 32.0 + (timed ? 4.0 * frames : 0.0) + (wide ? 4 : 2) * kept + (sparse ? (m + 7.0) / 8 : 0.0) + 4;
+  if (std::floor(size) != static_cast<double>(file.size()) || numbers > std::min(134217728.0, 8388608 + 32 * kept))
+    throw Error(where, "not the size that its header counts");
+  const std::size_t end = file.size() - 4;
+  if (crc32(data, end) != little32(data + end)) throw Error(where, "is damaged: its CRC differs");
+  Poses poses;
+  poses.joints = m, poses.frames = frames, poses.meters_per_unit = float32(data + 20);
+  if (!(poses.meters_per_unit >= 1e-9 && poses.meters_per_unit <= 1e9))
+    throw Error(where, "expected metres in a unit above 0");
+  std::copy_n(data + 24, 8, poses.joints_hash.begin());
+  const std::uint8_t* next = data + 32;
+  for (std::uint32_t i = 0; timed && i < frames; ++i, next += 4) {
+    poses.times.push_back(float32(next));
+    if (!std::isfinite(poses.times[i]) || (i && poses.times[i] <= poses.times[i - 1]))
+      throw Error(where, "times that don't ascend");
+  }
+  const std::uint8_t* mask = next + static_cast<std::size_t>(kept) * (wide ? 4 : 2);
+  std::vector<std::size_t> places;
+  for (std::size_t j = 0; j < (sparse ? (m + std::size_t{7}) / 8 * 8 : m); ++j)
+    if (!sparse || mask[j / 8] >> j % 8 & 1) places.push_back(j);
+  if (places.size() != stored || places.back() >= m) throw Error(where, "a joint mask that does not fit its count");
+  poses.values.assign(static_cast<std::size_t>(numbers), 0.0);
+  for (std::size_t i = 6; i < poses.values.size(); i += i % 9 == 8 ? 7 : 1) poses.values[i] = 1;
+  for (std::size_t frame = 0; frame < frames; ++frame)
+    for (std::size_t place : places)
+      for (std::size_t k = 0; k < 9; ++k, next += wide ? 4 : 2) {
+        const double value = wide ? float32(next) : float16(next);
+        if (!(std::abs(value) <= 0x1p100)) throw Error(where, "NaN, infinity or a number above 2^100");
+        poses.values[(frame * m + place) * 9 + k] += value;
+      }
+  return poses;
 }
 
 }  // namespace facepipe

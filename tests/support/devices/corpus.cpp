@@ -5,10 +5,10 @@
 //   corpus points BASIS FPB OUT  points and joints as float64
 //   corpus time BASIS FPB        milliseconds of processor time: the basis, then a person
 
-#include "../../../samples/cpp/facepipe.hpp"
-
 #include <cstdio>
 #include <ctime>
+
+#include "../../../samples/cpp/facepipe.hpp"
 
 using namespace facepipe;
 
