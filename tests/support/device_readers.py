@@ -42,6 +42,22 @@ def cpp_person(*flags: str) -> list[str]:
     return compiled(REPOSITORY / "samples" / "cpp" / "person.cpp", *flags)
 
 
+@cache
+def csharp_driver() -> list[str]:
+    """The command of the driver of samples/csharp/Facepipe.cs, by mono.
+
+    Skips the test where there is no mono.
+    """
+    compiler, runtime = shutil.which("mcs"), shutil.which("mono")
+    if compiler is None or runtime is None:
+        pytest.skip("needs mcs and mono on the PATH (Debian: mono-mcs, mono-runtime)")
+    out = Path(mkdtemp(prefix="facepipe-device-")) / "corpus.exe"
+    sources = (REPOSITORY / "samples" / "csharp" / "Facepipe.cs", SUPPORT / "devices" / "Corpus.cs")
+    # 7.2 is the newest that mono's compiler knows: what it takes is C# 7.3
+    run([compiler, "-langversion:7.2", "-optimize+", "-warnaserror+", "-warn:4", f"-out:{out}", *map(str, sources)])
+    return [runtime, str(out)]
+
+
 def run(words: Sequence[str]) -> str:
     """What a program prints; its errors fail the test."""
     done = subprocess.run(words, capture_output=True, text=True, encoding="utf-8", check=False)
