@@ -2,8 +2,8 @@
 // for Unity and others.
 //
 // Written from docs/files.md, "A person" and "A basis". Lengths are millimetres, Y is up, axes are right-handed:
-// Unity's x is the negative of this one. Every file may be hostile: counts are checked before memory is taken, and whatever is
-// wrong is one FacepipeException of one line.
+// Unity's x is the negative of this one. Every file may be hostile: counts are checked before memory is taken, and
+// whatever is wrong is one FacepipeException of one line.
 //
 //   var basis = Facepipe.Basis.Read(File.ReadAllBytes("head.fpbasis"), "head.fpbasis");
 //   var person = Facepipe.Person.Read(File.ReadAllBytes("me.fpb"), "me.fpb");
@@ -318,8 +318,8 @@ namespace Facepipe
             return entry >> 4;
         }
 
-        // Codes by their lengths: symbol << 4 | bits, by the next bits; 0: no code. A set that is not full is one code of
-        // one bit, or none, as zlib has it.
+        // Codes by their lengths: symbol << 4 | bits, by the next bits; 0: no code. A set that is not full is one code
+        // of one bit, or none, as zlib has it.
         ushort[] Codes(byte[] lengths, int start, int size, bool whole)
         {
             var counts = new int[16];
@@ -567,7 +567,7 @@ namespace Facepipe
                 if (one.Kind < known.Length)
                     known[one.Kind] = one;
                 else if (one.Required)
-                    throw new FacepipeException(where, "section of kind " + one.Kind + ", expected those that are known");
+                    throw new FacepipeException(where, "section of kind " + one.Kind + ", expected a known one");
             }
         }
 
@@ -827,7 +827,7 @@ namespace Facepipe
                 else if (one.Kind <= 6)
                     person.Take(file, one, where);
                 else if (one.Required)
-                    throw new FacepipeException(where, "section of kind " + one.Kind + ", expected those that are known");
+                    throw new FacepipeException(where, "section of kind " + one.Kind + ", expected a known one");
                 else
                     person.Skipped.Add(one.Kind);
             }
