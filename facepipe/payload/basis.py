@@ -345,7 +345,7 @@ class _Reader:
 
     def _parts(self, points: int) -> tuple[RigidRows, ...]:
         self._open(PARTS)
-        parts = []
+        parts: list[RigidRows] = []
         while self._at < len(self._data):
             if len(parts) == MOST_PARTS:
                 raise self._wrong(f"more than {MOST_PARTS} parts")

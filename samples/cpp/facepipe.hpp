@@ -94,6 +94,7 @@ struct Person {
   std::vector<Placement> whole;  // none or one
   std::vector<Placement> parts;  // none or one for each of the basis's
   Bytes points;                  // offsets by levels
+  Bytes coefficients;            // bone coefficients on top, for read_poses
   std::vector<int> skipped;      // kinds of sections that are there and were left out
 };
 
@@ -869,6 +870,7 @@ inline Person read_person(const Bytes& file, const std::string& where) {
     } else if (one.required) {
       throw Error(where, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
     } else {
+      if (one.kind == 11) person.coefficients.assign(one.data, one.data + one.size);
       person.skipped.push_back(one.kind);
     }
   }

@@ -4,9 +4,10 @@
 //   facepipe export head.usdc --for persons -o head.glb && facepipe basis -o head.fpbasis
 //   ./person head.glb head.fpbasis me.fpb --weights jawOpen=0.5 smileLeft=1 -o me.obj
 //
-// Without basis and person it is the head itself. --pose takes bone coefficients, of which it shows the first frame.
-// OUT.obj has vertices in metres and triangles, any other name float32 x y z of all vertices, primitive after
-// primitive. Exit 0 done; 1 done, but some meshes stayed as they were; 2 bad input, in one line.
+// Without basis and person it is the head itself. Bones are posed by the coefficients in the person, or those of
+// --pose, of which it shows the first frame. OUT.obj has vertices in metres and triangles, any other name float32 x y z
+// of all vertices, primitive after primitive. Exit 0 done; 1 done, but some meshes stayed as they were; 2 bad input, in
+// one line.
 
 #include <cstdio>
 #include <iostream>
@@ -59,10 +60,11 @@ static void check_names(const Head& head, const Words& words) {
   }
 }
 
-static std::vector<double> coefficients(const Head& head, const std::string& path) {
-  Poses poses = read_poses(read_file(path), path);
+static std::vector<double> coefficients(const Head& head, const Bytes& payload, const std::string& where) {
+  if (payload.empty()) return {};
+  Poses poses = read_poses(payload, where);
   if (poses.joints != head.joints.size())
-    throw Error(path, "made for other joints, expected " + std::to_string(head.joints.size()));
+    throw Error(where, "made for other joints, expected " + std::to_string(head.joints.size()));
   poses.values.resize(9 * poses.joints);
   for (std::size_t i = 0; i < poses.values.size(); ++i)
     if (i % 9 < 3) poses.values[i] *= poses.meters_per_unit;
@@ -99,13 +101,17 @@ int main(int count, char** arguments) try {
   Head head = read_head(read_file(words.files[0]), words.files[0]);
   check_names(head, words);
   std::vector<std::string> left;
+  Bytes pose;
   if (words.files.size() == 3) {
     const Basis basis = read_basis(read_file(words.files[1]), words.files[1]);
     const Person person = read_person(read_file(words.files[2]), words.files[2]);
+    pose = person.coefficients;
     left = put_on(head, basis, rebuild(basis, person, words.files[2]), words.files[0]);
   }
-  const std::vector<double> pose = words.pose.empty() ? std::vector<double>() : coefficients(head, words.pose);
-  const std::vector<float> vertices = skinned(head, words.weights, pose);
+  if (!words.pose.empty()) pose = read_file(words.pose);
+  const std::string& where = words.files.back();
+  const std::vector<double> posed = coefficients(head, pose, words.pose.empty() ? where : words.pose);
+  const std::vector<float> vertices = skinned(head, words.weights, posed);
   write(words.out, head, vertices);
   std::cout << words.out << ": " << vertices.size() / 3 << " vertices\n";
   for (const std::string& name : left)

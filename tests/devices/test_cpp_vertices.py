@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 import subprocess
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from facepipe.heads.assembly import skeleton
 from facepipe.heads.holds import held
 from facepipe.parts import FaceParts, Holds, Mesh
 from facepipe.payload import PayloadContent, encode
-from facepipe.payload.person import decode_person
+from facepipe.payload.person import decode_person, encode_person
 from facepipe.rig import build
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.stage import save_parts
@@ -78,10 +77,10 @@ def rows_of(path: Path, parts: FaceParts) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def shown(folder: Path, *words: str, head: str = "head.glb", program: Sequence[str] = ()) -> np.ndarray:
+def shown(folder: Path, *words: str, head: str = "head.glb", person: str = "me.fpb") -> np.ndarray:
     """(v, 3) metres that the program writes."""
-    files = [str(folder / name) for name in (head, "head.fpbasis", "me.fpb")]
-    run([*(program or cpp_person()), *files, *words, "-o", str(folder / "out.bin")])
+    files = [str(folder / name) for name in (head, "head.fpbasis", person)]
+    run([*cpp_person(), *files, *words, "-o", str(folder / "out.bin")])
     return np.fromfile(folder / "out.bin", "<f4").reshape(-1, 3)
 
 
@@ -105,10 +104,15 @@ def test_vertices_are_those_of_the_rig(folder: Path, posed: bool) -> None:
         (folder / "pose.fpb").write_bytes(encode(pose).data)
         coefficients = coefficients.astype(np.float32).astype(np.float64)
         words += ["--pose", str(folder / "pose.fpb")]
+        with_pose = replace(decode_person((folder / "me.fpb").read_bytes(), "me"), coefficients=encode(pose).data)
+        (folder / "posed.fpb").write_bytes(encode_person(with_pose))
     expected = 0.01 * build(parts).evaluate(WEIGHTS, coefficients=coefficients)
     vertices = shown(folder, "--weights", *words)
     away = _MM * np.abs(vertices - expected[rows_of(folder / "head.glb", parts)])
     assert away.max() < 1e-3
+    if posed:
+        inside = shown(folder, "--weights", *words[:-2], person="posed.fpb")
+        np.testing.assert_array_equal(inside, vertices)
     still = 0.01 * build(facepipe.open(folder / "head.usdc").parts()).evaluate(WEIGHTS)
     assert _MM * np.abs(still - expected).max() > 3, "a person who is the head shows nothing"
 

@@ -35,7 +35,7 @@ from facepipe.payload.basis import (
     digest_of,
     encode_basis,
 )
-from facepipe.payload.person import PersonContent, decode_person, encode_person
+from facepipe.payload.person import COEFFICIENTS, LOOK, PICTURES, PersonContent, decode_person, encode_person
 from facepipe.payload.sections import Section, pack, unpack
 from facepipe.verbs.person_basis import Basis, head_basis, template_basis
 from facepipe.verbs.whole_faces import Topology
@@ -43,6 +43,7 @@ from facepipe.verbs.whole_faces import Topology
 Rng = random.Random
 SHARES = {"square": 0.45, "studio": 0.3, "head": 0.025, "bases": 0.225}  # of the cases
 _NEAR, _NEARLY = 1e-4, 1e-6  # millimetres, and of the size, that figures may differ by
+_BESIDE = (LOOK, PICTURES, COEFFICIENTS)  # kinds of sections that say nothing of the shape
 _HEAD = 20  # bytes of a basis before its body
 _HALVES = (0x7E00, 0xFE00, 0x7C00, 0xFC00, 0x7BFF, 0x5640, 0x5641, 0xD640, 0x3C00, 0x3C01, 0x4200, 0x4201, 0x8000, 1)
 _FLOATS = (np.nan, np.inf, -np.inf, 1e4, 10001, 1, 1.0000001, 3, 3.0000002, 1e-45, 3e38, -0.0, 0.7071068)
@@ -128,9 +129,13 @@ def _same(own: str, other: str) -> bool:
 
 
 def person_verdict(basis: Basis, data: bytes) -> str:
-    """The line of a person."""
+    """The line of a person, of a reader of shapes alone: it leaves out looks, pictures and bones, where it may."""
     try:
-        points = basis.rebuilt(decode_person(data, "case"), "case")
+        rows = unpack(data, "case")
+        if any(row.required and row.kind in _BESIDE for row in rows):
+            return "no"
+        shape = pack([row for row in rows if row.kind not in _BESIDE])
+        points = basis.rebuilt(decode_person(shape, "case"), "case")
     except InputError:
         return "no"
     return _line(points, basis.content)
@@ -187,7 +192,9 @@ def sound_person(basis: Basis, rng: Rng) -> bytes:
         content = replace(content, points=basis.levels.encode(offsets, rng.choice([0.01, 0.2, 3.0]), coarse)[0])
     data = encode_person(content)
     if rng.random() < 0.1:
-        data = pack([*unpack(data, "person"), Section(rng.randint(60, 127), draw.bytes(rng.randint(0, 9)), False)])
+        data = pack(
+            [*unpack(data, "person"), Section(rng.choice([*_BESIDE, 60, 127]), draw.bytes(rng.randint(0, 9)), False)]
+        )
     return data
 
 
