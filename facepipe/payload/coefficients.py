@@ -237,7 +237,9 @@ def decode(data: bytes, joints: Sequence[str], where: object) -> PayloadContent:
         what = f"made for other joints ({header.joints}, hash {header.joints_hash})"
         raise InputError(where, f"{what}, expected those of this skeleton ({len(joints)}, hash {skeleton_hash})")
     stored = np.frombuffer(data[header.values : header.mask], DTYPES[header.precision])
-    if not (np.isfinite(stored) & (np.abs(stored.astype(np.float64)) <= LARGEST)).all():
+    with np.errstate(invalid="ignore"):  # casts of NaN
+        sound = np.abs(stored.astype(np.float64)) <= LARGEST
+    if not sound.all():
         raise InputError(where, f"NaN, infinity or a number above {LARGEST:g}, expected finite coefficients")
     values, places = np.zeros((header.frames, header.joints, 9)), np.arange(header.joints)
     if header.is_sparse:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import person_corpus
 import pytest
-from device_readers import SANITIZED, corpus_disagreements, cpp_driver
+from device_readers import SANITIZED, corpus_disagreements, cpp_driver, run
 from rebuilt_people import PEOPLE, assert_rebuilt_as_python
 
 pytestmark = pytest.mark.slow  # compilers take seconds
@@ -27,3 +27,11 @@ def test_verdicts_are_pythons(tmp_path: Path) -> None:
 def test_no_case_of_20_000_goes_out_of_bounds_or_is_judged_otherwise(tmp_path: Path) -> None:
     assert sum(person_corpus.write(tmp_path, 20_000).values()) == 20_000
     assert corpus_disagreements(cpp_driver(*SANITIZED), tmp_path) == []
+
+
+@pytest.mark.gate
+def test_bone_coefficients_get_the_verdicts_of_python(tmp_path: Path) -> None:
+    person_corpus.write_poses(tmp_path, 3000)
+    lines = run([*cpp_driver(*SANITIZED), "poses", str(tmp_path / "poses.cases")]).splitlines()
+    assert person_corpus.disagreements(tmp_path, "poses", lines) == []
+    assert 500 < sum(line.startswith("ok") for line in lines) < 2500

@@ -35,6 +35,7 @@ from facepipe.payload.basis import (
     digest_of,
     encode_basis,
 )
+from facepipe.payload.coefficients import PayloadContent, decode, encode, joints_hash, read_header
 from facepipe.payload.person import COEFFICIENTS, LOOK, PICTURES, PersonContent, decode_person, encode_person
 from facepipe.payload.sections import Section, pack, unpack
 from facepipe.verbs.person_basis import Basis, head_basis, template_basis
@@ -111,6 +112,14 @@ def write(folder: Path, cases: int, seed: int = 0) -> dict[str, int]:
     return counts
 
 
+def write_poses(folder: Path, cases: int, seed: int = 0) -> None:
+    """Write the corpus `poses`, of bone coefficients. Figures are of nine numbers a joint and frame, then of times."""
+    rng = Rng(f"poses {seed}")
+    data = [_unsealed_or_sealed(rng, sound_poses(rng)) for _ in range(cases)]
+    (folder / "poses.cases").write_bytes(b"".join(struct.pack("<I", len(one)) + one for one in data))
+    (folder / "poses.verdicts").write_text("".join(f"{poses_verdict(one)}\n" for one in data))
+
+
 def disagreements(folder: Path, name: str, lines: Sequence[str]) -> list[str]:
     """Where another reader's verdicts on a corpus are not Python's."""
     expected = (folder / f"{name}.verdicts").read_text().splitlines()
@@ -150,10 +159,26 @@ def basis_verdict(data: bytes) -> str:
     return _line(content.mean + content.step * content.modes.sum(axis=0, dtype=np.int64).T, content)
 
 
+def poses_verdict(data: bytes) -> str:
+    """The line of bone coefficients, of a reader who does not know which joints they are for."""
+    try:
+        header = read_header(data, "case")
+        joints = tuple(map(str, range(header.joints)))
+        named = data[:24] + joints_hash(joints) + data[32:-4]
+        content = decode(_sealed(named), joints, "case")
+    except InputError:
+        return "no"
+    return _figures(content.frames.ravel(), np.zeros(0) if content.times is None else content.times)
+
+
 def _line(points: np.ndarray, content: BasisContent) -> str:
     joints = [joint.shares @ points[joint.points] for joint in content.joints]
+    return _figures(points.ravel(), np.ravel(joints))
+
+
+def _figures(*both: np.ndarray) -> str:
     figures = []
-    for values in (points.ravel(), np.ravel(joints)):
+    for values in both:
         count = max(len(values), 1)
         figures += [np.abs(values).sum() / count, (values * (1 + np.arange(len(values)) % 7)).sum() / count]
     return " ".join(["ok", *(f"{figure:.9g}" for figure in figures)])
@@ -224,6 +249,22 @@ def sealed_basis(rng: Rng, body: bytes) -> bytes:
         body[len(body) // 2 :]
     )
     return struct.pack("<4sHH8sI", b"FPBA", 1, 0, digest_of(body), len(body)) + packed + deflater.flush()
+
+
+def sound_poses(rng: Rng) -> bytes:
+    """Bone coefficients: a pose, poses or a clip, of some joints or all."""
+    draw = np.random.default_rng(rng.getrandbits(32))
+    count, frames = rng.randint(1, 40), rng.choice([None, 1, 3])
+    values = draw.normal(0, 1, (frames or 1, count, 9))
+    values[:, draw.random(count) < rng.random()] = [0.0] * 6 + [1.0] * 3
+    content = PayloadContent(
+        joints=tuple(map(str, range(count))),
+        coefficients=values if frames else values[0],
+        times=np.cumsum(draw.random(frames) + 0.01) if frames and rng.random() < 0.5 else None,
+        meters_per_unit=0.01,
+        precision=rng.choice(["float16", "float32"]),
+    )
+    return encode(content).data
 
 
 # ---- damage
@@ -298,6 +339,15 @@ def _numbers(rng: Rng, data: bytes) -> bytes:
         own[place : place + width] = number
         rows[i] = rows[i]._replace(data=bytes(own))
     return pack(rows)
+
+
+def _unsealed_or_sealed(rng: Rng, data: bytes) -> bytes:
+    """Two thirds damaged, mostly under the right sum, half of them in the header."""
+    if rng.random() < 1 / 3:
+        return data
+    if rng.random() < 0.5:
+        return _sealed(_scattered(rng, data[:32], 4) + data[32:-4])
+    return rng.choice([_unsealed, lambda rng, data: _sealed(_scattered(rng, data[:-4], 32)), _cut_of_person])(rng, data)
 
 
 _Damage = Callable[[Rng, bytes], bytes]

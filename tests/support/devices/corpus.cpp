@@ -2,6 +2,7 @@
 //
 //   corpus persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
 //   corpus bases CASES           the same of bases, and of the points that all of their modes give
+//   corpus poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   corpus points BASIS FPB OUT  points and joints as float64
 //   corpus time BASIS FPB        milliseconds of processor time: the basis, then a person
 
@@ -57,6 +58,14 @@ int main(int count, char** words) {
         const Basis basis = read_basis(one, "case");
         const std::vector<double> points = shaped(basis, std::vector<double>(basis.mode_count, 1.0));
         return Rebuilt{points, joint_places(basis, points)};
+      });
+    return 0;
+  }
+  if (what == "poses") {
+    for (const Bytes& one : cases(words[2]))
+      line([&] {
+        const Poses poses = read_poses(one, "case");
+        return Rebuilt{poses.values, std::vector<double>(poses.times.begin(), poses.times.end())};
       });
     return 0;
   }
