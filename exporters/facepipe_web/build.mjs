@@ -1,5 +1,5 @@
 // Bundles the sources into dist/: facepipe.js, the runtime for other people's pages (three and onnxruntime-web stay
-// imports), and the viewer with all that it needs, licences of the packages among it.
+// imports), person.js, of it what needs neither, and the viewer with all that it needs, licences of the packages among it.
 import { cpSync, mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { execFileSync } from "node:child_process";
@@ -12,7 +12,8 @@ const shared = { bundle: true, format: "esm", target: "es2022", minify: true, le
 
 rmSync(out, { recursive: true, force: true });
 mkdirSync(join(out, "licences"), { recursive: true });
-await build({ ...shared, entryPoints: ["src/runtime/index.ts"], outfile: join(out, "facepipe.js"), packages: "external" });
+const entries = { facepipe: "src/runtime/index.ts", person: "src/runtime/persons.ts" };
+await build({ ...shared, entryPoints: entries, outdir: out, packages: "external" });
 await build({
   ...shared,
   entryPoints: { viewer: "src/viewer/main.ts" },

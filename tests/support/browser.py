@@ -33,12 +33,19 @@ def chromium() -> str:
     found = next(filter(None, map(shutil.which, _NAMES)), None)
     if found is None:
         pytest.skip("needs chromium on the PATH")
+    built()
+    return found
+
+
+@functools.cache
+def built() -> Path:
+    """The folder of the runtime and the viewer's page; skips the test where there is no node."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("needs node and npm on the PATH")
     lock = build.HERE / ".building"
     for _ in range(_PATIENCE):  # several test processes may come here at once
         if build.is_built() and PLAYWRIGHT.is_file():
-            return found
+            return build.DIST
         try:
             lock.mkdir()
         except FileExistsError:

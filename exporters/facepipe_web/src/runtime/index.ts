@@ -1,8 +1,8 @@
 /** Faces of facepipe in a browser: `const face = await loadFace(glb, onnx); scene.add(face.root)`. */
-export { FaceError } from "./errors";
 export { Face, type JointFacts, type SliderInfo } from "./face";
 export type { FaceMesh } from "./glb";
 export { loadFace, type LoadOptions } from "./load_face";
 export type { Metadata } from "./metadata";
 export type { Backend, NetworkOptions } from "./network";
 export { jointsHash, parsePayload, type Payload } from "./payload";
+export * from "./persons";

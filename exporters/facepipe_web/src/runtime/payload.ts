@@ -1,4 +1,5 @@
 /** Bone coefficients of a device payload (.fpb; docs/files.md, "Bone coefficients"). */
+import { crc32, half, hex, shortHash } from "./bytes";
 import { FaceError } from "./errors";
 
 export interface Payload {
@@ -98,32 +99,9 @@ function ascending(times: Float32Array, where: string): Float32Array {
   return times;
 }
 
-/** A half-precision number. */
-function half(bits: number): number {
-  const sign = bits & 0x8000 ? -1 : 1;
-  const exponent = (bits >> 10) & 31;
-  const fraction = bits & 1023;
-  if (exponent === 0) return sign * fraction * 2 ** -24;
-  if (exponent === 31) return fraction ? NaN : sign * Infinity;
-  return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
-}
-
-function crc32(bytes: Uint8Array): number {
-  let crc = ~0;
-  for (const byte of bytes) {
-    crc ^= byte;
-    for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 ? 0xedb88320 : 0);
-  }
-  return ~crc >>> 0;
-}
-
 /** The hash by which a payload names joints, of their paths in order. */
 export async function jointsHash(paths: string[]): Promise<string> {
-  if (!globalThis.crypto?.subtle) throw new FaceError("browser", "has no SHA-256 here, expected a page from https or localhost");
-  const digest = await crypto.subtle.digest("SHA-256", new TextEncoder().encode(paths.join("\n")));
-  return hex(new Uint8Array(digest, 0, 8));
-}
-
-function hex(bytes: Uint8Array): string {
-  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+  const hash = await shortHash(new TextEncoder().encode(paths.join("\n")));
+  if (hash === null) throw new FaceError("browser", "has no SHA-256 here, expected a page from https or localhost");
+  return hash;
 }

@@ -1,0 +1,4 @@
+/** Persons from bytes, for any engine: `rebuilt(await readBasis(bytes), parsePerson(bytes))`. */
+export { type Basis, readBasis } from "./basis";
+export { FaceError } from "./errors";
+export { isPerson, jointPlaces, parsePerson, type Person, rebuilt } from "./person";
