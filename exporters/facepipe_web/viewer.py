@@ -67,6 +67,8 @@ _MOST_HEAD = 1 << 16  # bytes of a request's headers
 MOST_CONNECTIONS = 32  # at once: browsers open six for a page
 PATIENCE = 30.0  # seconds that a request may take to arrive, and a connection to wait for the next
 _PORTS = (0, 65535)
+_BASIS = "basis.fpbasis"
+_HEAD_BASIS = Path(facepipe.__file__).parent / "heads" / "data" / "head.fpbasis"
 _KEPT = 2  # versions of the face that may still be on their way to the page
 
 
@@ -365,10 +367,13 @@ class Viewer:
 
 
 @contextmanager
-def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> Iterator[Viewer]:
+def view(
+    faces: Sequence[Path], options: Options, onnx: Path | None = None, basis: Path | None = None
+) -> Iterator[Viewer]:
     """A viewer of a face stage or GLB, and of a second one to compare it with; its files are gone when the block ends.
 
     :param onnx: sliders of a GLB
+    :param basis: of persons that are opened in the page; None: the built-in head's
     :raises InputError: no build, a port that is not free, or files that can't be shown
     :raises SchemaError, ExportError: a stage without a face, or one that a format can't hold
     """
@@ -378,14 +383,16 @@ def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> I
         what = "is older than its sources" if build.DIST.exists() else "is not built"
         raise InputError("viewer", f"{what}, expected `python -m facepipe_web.build` before (needs node 20 and npm)")
     files = {f"/{file.relative_to(build.DIST).as_posix()}": file for file in build.DIST.rglob("*") if file.is_file()}
-    files = files | {"/": build.DIST / "index.html"}
+    if basis is not None:
+        _check_start(basis, b"FPBA", "a basis that `facepipe basis` wrote")
+    files = files | {"/": build.DIST / "index.html", f"/{_BASIS}": basis or _HEAD_BASIS}
     with tempfile.TemporaryDirectory(prefix="facepipe-view-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         server = Server(options.port, files, {})
         try:
             entries = [_entry(path, onnx, folder, number, server, options.pose) for number, path in enumerate(faces)]
             blending = blending_of(faces[0], folder, server)
-            content = {"faces": entries, "blend": None if blending is None else blending.entry}
+            content = {"faces": entries, "blend": None if blending is None else blending.entry, "basis": _BASIS}
             file = folder / "viewer.json"
             file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
             server.files["/viewer.json"] = file

@@ -8,6 +8,7 @@ examples:
   facepipe view head.usdc
   facepipe view head.usdc other.usdc --port 8000
   facepipe view head.glb --onnx sliders.onnx --no-browser
+  facepipe view studio.usdc --basis studio.fpbasis
 """
 
 from __future__ import annotations
@@ -32,6 +33,12 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("face", type=Path, metavar="FACE", help="face stage, .glb or .vrm")
     parser.add_argument("other", type=Path, nargs="?", metavar="OTHER", help="another to compare it with")
     parser.add_argument("--onnx", type=Path, metavar="ONNX", help="sliders of a .glb, of `facepipe export --sliders`")
+    parser.add_argument(
+        "--basis",
+        type=Path,
+        metavar="BASIS",
+        help="of persons (.fpb) that are opened in the page, of `facepipe basis` (default the built-in head's)",
+    )
     parser.add_argument("--no-browser", action="store_true", help="open no browser, only print where the page is")
     add_options(parser, registry.host(_HOST).Options)
 
@@ -44,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         options = options_from(arguments, host.Options)
         with ExitStack() as serving:
             with progress("view", 1) as bar:
-                page = serving.enter_context(host.view(faces, options, arguments.onnx))
+                page = serving.enter_context(host.view(faces, options, arguments.onnx, arguments.basis))
                 bar.update()
             print(f"{page.url}  (Ctrl-C ends)", flush=True)
             if not arguments.no_browser:

@@ -99,3 +99,9 @@ DRAWN: Step = {"run": "new Promise((done) => requestAnimationFrame(() => request
 def run(expression: str) -> Step:
     """A step that evaluates JavaScript, with `face` and `page` at hand."""
     return {"run": f"(async () => {{ const {{ page }} = facepipe, face = facepipe.face(); {expression} }})()"}
+
+
+def until(condition: str) -> Step:
+    """A step that waits for JavaScript to be true."""
+    poll = f"for (let i = 0; i < 600 && !({condition}); i++) await new Promise((done) => setTimeout(done, 50));"
+    return run(f"{poll} if (!({condition})) throw new Error('did not come')")

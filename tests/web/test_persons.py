@@ -7,20 +7,26 @@ import struct
 import subprocess
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import browser
 import numpy as np
 import pytest
+from browser import DRAWN, READY, browse, run, until
 from faces import tiny_face
 from node import HERE
 from places import REPOSITORY
 
+import facepipe
 from facepipe.core.errors import InputError
 from facepipe.heads import make
-from facepipe.parts import FaceParts
+from facepipe.parts import FaceParts, Slider
+from facepipe.payload import PayloadContent, encode
 from facepipe.payload.basis import basis_body, decode_basis, digest_of, encode_basis
 from facepipe.payload.person import PersonContent, decode_person, encode_person
+from facepipe.rig import rest_coefficients
+from facepipe.stage import save_parts
 from facepipe.verbs.person_basis import Basis, head_basis, placed, template_basis
 from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.whole_faces import whole_points
@@ -116,3 +122,46 @@ def test_the_same_bases_are_refused(tmp_path: Path) -> None:
         else:
             assert own == pytest.approx(expected)
     assert 100 < refused < len(cases) - 50
+
+
+def test_the_viewers_head_becomes_a_person(tmp_path: Path) -> None:
+    """Points are those of `facepipe apply-bones`, moved by shapes, joints and sliders; taken off, the head is back."""
+    head, me, clip = tmp_path / "head.usdc", tmp_path / "me.fpb", tmp_path / "clip.fpb"
+    parts = make(0)
+    joints = parts.skeleton.joints
+    jaw = next(i for i, path in enumerate(joints) if path.endswith("jaw"))
+    turn = Slider(name="turn", channels=((joints[jaw], "rx", 0.3), (joints[1], "ry", 0.2)))
+    save_parts(replace(parts, sliders=(*parts.sliders, turn)), head)
+    points = warped(whole_points(make(3))[: len(head_basis().mean)], 1)
+    me.write_bytes(encode_points(head_basis(), points, within=1.0)[0])
+    poses = rest_coefficients(len(joints))
+    poses[jaw, 3], poses[1, 4] = 0.3, 0.2
+    content = PayloadContent(joints=joints, coefficients=poses, meters_per_unit=parts.meters_per_unit)
+    clip.write_bytes(encode(content).data)
+    said = 'document.querySelector("section[aria-label=Payload] p").textContent.startsWith("{}")'
+    read = run('return [face.points("Head"), face.points("EyeballLeft")].flatMap((one) => Array.from(one))')
+    off = run('[...document.querySelectorAll("button")].find((one) => one.textContent === "Take off").click()')
+    steps = [READY, read, {"upload": ["#payload", str(me)]}, until(said.format("me.fpb: a person in")), read]
+    steps += [run("await face.setSliders({ turn: 1 })"), read, run("await face.setSliders({ turn: 0 })")]
+    steps += [
+        {"upload": ["#payload", str(clip)]},
+        until(said.format("clip.fpb")),
+        run("await face.setShapes({ jawOpen: 0.5 })"),
+        read,
+    ]
+    with browser.viewing(head) as url:
+        results, problems = browse(url, *steps, run("await face.reset()"), off, DRAWN, read)
+    assert problems == []
+    before, still, slid, posed, after = (np.reshape(one, (-1, 3)) for one in results if one and len(one) > 9)
+    facepipe.apply_bones(head, me, out=tmp_path / "me.usdc")
+    person, eye = facepipe.open(tmp_path / "me.usdc"), parts.meshes[3]
+    start = sum(len(mesh.points) for mesh in parts.meshes[:3])
+    own = np.r_[0 : len(parts.meshes[0].points), start : start + len(eye.points)]
+    assert np.abs(still - 0.01 * person.evaluate()[own]).max() < 1e-6
+    for found, expected in (
+        (slid, person.evaluate(sliders={"turn": 1.0})),
+        (posed, person.evaluate({"jawOpen": 0.5}, coefficients=poses)),
+    ):
+        assert np.abs(found - 0.01 * expected[own]).max() < 1e-5 * 0.01 * person.head_height
+        assert np.abs(found - still).max() > 0.01
+    np.testing.assert_array_equal(before, after)

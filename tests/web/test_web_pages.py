@@ -11,7 +11,7 @@ import browser
 import facepipe_gltf
 import numpy as np
 import pytest
-from browser import DRAWN, READY, Step, browse, run
+from browser import DRAWN, READY, Step, browse, run, until
 from command_line import exit_code
 from facepipe_onnx import Options, export_parts
 from faces import tiny_face
@@ -49,12 +49,6 @@ def sample(folder: Path) -> Path:
 def url(sample: Path) -> Iterator[str]:
     with browser.viewing(sample) as url:
         yield url
-
-
-def until(condition: str) -> Step:
-    """A step that waits for JavaScript to be true."""
-    poll = f"for (let i = 0; i < 600 && !({condition}); i++) await new Promise((done) => setTimeout(done, 50));"
-    return run(f"{poll} if (!({condition})) throw new Error('did not come')")
 
 
 def as_gltf(parts: FaceParts, points: np.ndarray) -> np.ndarray:

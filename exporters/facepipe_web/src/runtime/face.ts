@@ -1,14 +1,20 @@
 /** A face in a three.js scene, driven by sliders, shape weights and bone coefficients. */
-import { type Group, Matrix4 } from "three";
+import { type Group, Matrix4, type Mesh, Vector3 } from "three";
+import type { Basis } from "./basis";
 import { localMotions } from "./coefficients";
 import { FaceError } from "./errors";
+import { type Followed, followedPoints } from "./followed";
 import type { FaceMesh, LoadedGlb } from "./glb";
 import { Joints } from "./joints";
 import { type Metadata, output, sliderInput } from "./metadata";
 import type { Network } from "./network";
+import { resetNeutral, setNeutral } from "./neutral";
 import { jointsHash, type Payload } from "./payload";
+import { jointPlaces, type Person, rebuilt } from "./person";
 import { readPoints } from "./read_points";
 import { setFromGraph, setFromShapes, shapesOf } from "./targets";
+
+const MM = 1e-3; // metres
 
 export interface SliderInfo {
   name: string;
@@ -38,6 +44,7 @@ export class Face {
   readonly shapes: string[];
   readonly copyright: string;
   private readonly shapeWeights = new Map<string, number>();
+  private readonly followed = new Map<Basis, Map<Mesh, Followed>>();
   private motions: Matrix4[] | null = null; // of a payload, in place of those of the graph
   private dirty = false;
   private running: Promise<void> | null = null;
@@ -106,6 +113,40 @@ export class Face {
     return this.update();
   }
 
+  /**
+   * Be a person, until `setPerson(null)`: points, normals and joints are theirs, and sliders, shapes and payloads move
+   * these. Cards and other meshes go with the points of the basis.
+   * @param basis of which the GLB has the meshes
+   * @throws FaceError a person of another basis, or a basis of another face
+   */
+  setPerson(person: null): Promise<void>;
+  setPerson(person: Person, basis: Basis): Promise<void>;
+  async setPerson(person: Person | null, basis?: Basis): Promise<void> {
+    if (!person || !basis) {
+      this.meshes.forEach(resetNeutral);
+      this.joints?.setRest(new Map());
+      return this.update();
+    }
+    const points = rebuilt(basis, person).map((value) => value * MM);
+    const followed = this.followed.get(basis) ?? followedPoints(this.meshes, basis);
+    this.followed.set(basis, followed);
+    for (const mesh of this.meshes) {
+      setNeutral(mesh, (primitive, vertex, _, out) => {
+        const { width, rows, shares, offsets } = followed.get(primitive)!;
+        out.fromArray(offsets, 3 * vertex);
+        for (let k = vertex * width; k < (vertex + 1) * width; k++) {
+          const [share, at] = [shares[k], 3 * rows[k]];
+          out.x += share * points[at];
+          out.y += share * points[at + 1];
+          out.z += share * points[at + 2];
+        }
+      });
+    }
+    const places = jointPlaces(basis, points);
+    this.joints?.setRest(new Map(basis.joints.map(({ path }, i) => [path, new Vector3().fromArray(places, 3 * i)])));
+    return this.update();
+  }
+
   /** Values of all sliders as they were set last. */
   get sliderValues(): Record<string, number> {
     const values = this.network?.values("sliders");
@@ -117,7 +158,7 @@ export class Face {
     return Object.fromEntries(this.shapeWeights);
   }
 
-  /** All sliders at the neutral, all shapes off, no payload. */
+  /** All sliders at the neutral, all shapes off, no payload; the person stays. */
   reset(): Promise<void> {
     const sliders = this.network?.values("sliders");
     this.sliders.forEach((one, i) => (sliders![i] = one.default));

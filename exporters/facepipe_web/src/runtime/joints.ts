@@ -1,5 +1,5 @@
 /** The joints of a face: brought to where a graph or bone coefficients put them. */
-import { type Bone, type Group, Matrix4, type Skeleton } from "three";
+import { type Bone, type Group, Matrix4, type Skeleton, type Vector3 } from "three";
 import { FaceError } from "./errors";
 import type { Output } from "./metadata";
 
@@ -7,8 +7,13 @@ export class Joints {
   readonly bones: Bone[];
   /** number of each joint's parent, -1 for a root */
   readonly parents: number[];
-  /** of each joint, relative to its parent joint (a root: to the face), as in the file */
-  readonly rest: Matrix4[];
+  /** where each joint is below its parents, by their names in the file */
+  readonly paths: string[];
+  /** of each joint, relative to its parent joint (a root: to the face) */
+  rest: Matrix4[];
+  private readonly fileRest: Matrix4[];
+  private readonly fileWorlds: Matrix4[];
+  private readonly fileInverses: Matrix4[];
   private fromWorld = new Matrix4();
   private toJoint: Matrix4[] = [];
   private readonly scratch = new Matrix4();
@@ -24,10 +29,11 @@ export class Joints {
     });
     const toRoot = root.matrixWorld.clone().invert();
     const worlds = this.bones.map((bone) => toRoot.clone().multiply(bone.matrixWorld));
-    this.rest = worlds.map((world, i) => {
-      const parent = this.parents[i];
-      return parent < 0 ? world.clone() : worlds[parent].clone().invert().multiply(world);
-    });
+    this.paths = this.bones.map((bone) => (bone.userData.name as string | undefined) ?? bone.name);
+    this.parents.forEach((parent, i) => parent >= 0 && (this.paths[i] = `${this.paths[parent]}/${this.paths[i]}`));
+    this.rest = this.fileRest = this.locals(worlds);
+    this.fileWorlds = worlds;
+    this.fileInverses = skeleton.boneInverses.map((inverse) => inverse.clone());
     this.bones.forEach((bone, i) => {
       root.add(bone);
       bone.matrixAutoUpdate = false;
@@ -38,6 +44,29 @@ export class Joints {
   }
 
   private readonly inverses: Matrix4[];
+
+  /**
+   * Have joints rest elsewhere, along the axes of the face; the others keep their place below their parents.
+   * @param places by path, metres; none: as in the file
+   */
+  setRest(places: ReadonlyMap<string, Vector3>): void {
+    const worlds: Matrix4[] = [];
+    this.bones.forEach((_, i) => {
+      const place = places.get(this.paths[i]);
+      const parent = this.parents[i];
+      if (place) worlds.push(new Matrix4().setPosition(place));
+      else worlds.push(parent < 0 ? this.fileWorlds[i].clone() : worlds[parent].clone().multiply(this.fileRest[i]));
+      this.inverses[i].copy(worlds[i]).invert().multiply(this.fileWorlds[i]).multiply(this.fileInverses[i]);
+    });
+    this.rest = places.size ? this.locals(worlds) : this.fileRest;
+  }
+
+  private locals(worlds: Matrix4[]): Matrix4[] {
+    return worlds.map((world, i) => {
+      const parent = this.parents[i];
+      return parent < 0 ? world.clone() : worlds[parent].clone().invert().multiply(world);
+    });
+  }
 
   /** Take the constants that bring skinning matrices of a graph to glTF space. */
   follow(output: Output): void {
@@ -54,6 +83,10 @@ export class Joints {
       bone.matrix.multiplyMatrices(this.fromWorld, scratch).multiply(this.toJoint[i]);
       bone.matrixWorldNeedsUpdate = true;
     });
+    if (this.rest === this.fileRest) return;
+    // the graph's joints are those of the file: what they do relative to their rest, others do at theirs
+    const moved = this.locals(this.bones.map((bone) => bone.matrix));
+    this.setLocals(moved.map((local, i) => local.premultiply(scratch.copy(this.fileRest[i]).invert())));
   }
 
   /** @param locals what each joint does relative to its rest, in glTF space */

@@ -4,7 +4,6 @@ import { h, throttled } from "./dom";
 import { say, sayError } from "./messages";
 import type { Page } from "./page";
 import { section } from "./panels";
-import { setPositions } from "./positions";
 import { Row } from "./rows";
 import { type FaceEntry, ViewedFace } from "./viewed_face";
 
@@ -79,7 +78,7 @@ export class BlendPanel {
     try {
       const answer = await this.ask("points");
       if (answer) {
-        setPositions(this.page.own, new Float32Array(await answer.arrayBuffer()));
+        this.page.own.setPoints(new Float32Array(await answer.arrayBuffer()));
         this.page.changed();
       }
     } finally {

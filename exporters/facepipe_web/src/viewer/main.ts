@@ -9,6 +9,7 @@ import type { BlendEntry } from "./blend_panel";
 interface Content {
   faces: FaceEntry[];
   blend: BlendEntry | null;
+  basis: string;
 }
 
 async function start(): Promise<void> {
@@ -23,7 +24,7 @@ async function start(): Promise<void> {
   const content = (await (await fetch("viewer.json")).json()) as Content;
   const [own, other] = content.faces;
   const face = await load(own);
-  const page = new Page(picture, view, document.getElementById("panel")!, face, content.blend);
+  const page = new Page(picture, view, document.getElementById("panel")!, face, content.blend, content.basis);
   page.other = other ? await load(other) : null;
   page.show();
   Object.assign(window, { facepipe: { page, face: () => page.own.face, picture, loadFace } }); // for the console, and for tests

@@ -35,9 +35,10 @@ export class Page {
     private readonly panel: HTMLElement,
     public own: ViewedFace,
     private readonly blend: BlendEntry | null,
+    basisUrl: string,
   ) {
     this.divider = new Divider(picture, view);
-    this.payload = new PayloadPanel(() => this.own.face, () => this.changed());
+    this.payload = new PayloadPanel(() => this.own.face, basisUrl, () => this.changed());
     this.bones = new BonesOverlay(own.face);
     picture.before = () => this.bones.update();
     view.append(this.toolbar(), this.legend.element, ...this.divider.elements);
@@ -95,7 +96,7 @@ export class Page {
       this.rows.push(...rows);
       parts.push(element);
     }
-    if (face.joints) parts.push(this.payload.element);
+    parts.push(this.payload.element);
     this.panel.replaceChildren(...parts);
   }
 

@@ -1,5 +1,6 @@
 /** A face of the page: the runtime's face, and what the server gives beside it. */
 import { Face, loadFace } from "../runtime";
+import { setNeutral } from "../runtime/neutral";
 import { Look } from "./look";
 
 /** A face in viewer.json. */
@@ -38,6 +39,17 @@ export class ViewedFace {
     const values = Object.fromEntries(face.sliders.map((one) => [one.name, one.value]));
     await face.setSliders(values);
     return new ViewedFace(entry, face, details, masks, look);
+  }
+
+  /** @param points of the neutral, 3 numbers for each point of all meshes of the stage, metres, Y up */
+  setPoints(points: Float32Array): void {
+    let end = 0;
+    for (const { name, points: count } of this.details?.meshes ?? []) {
+      const mesh = this.face.meshes.find((one) => one.name === name);
+      const first = end;
+      end += count;
+      if (mesh) setNeutral(mesh, (_primitive, _vertex, point, out) => void out.fromArray(points, 3 * (first + point)));
+    }
   }
 
   get regionNames(): string[] {
