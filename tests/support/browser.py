@@ -72,15 +72,17 @@ def viewing(*faces: Path, onnx: Path | None = None) -> Iterator[str]:
 
 
 def browse(
-    url: str, *steps: Step, flags: Sequence[str] = (), before: str = "", webgpu: bool = False
+    url: str, *steps: Step, flags: Sequence[str] = (), before: str = "", webgpu: bool = False, phone: bool = False
 ) -> tuple[list[Any], list[str]]:
     """What steps on a page give (tests/support/js/browse.mjs), and the page's problems.
 
     :param webgpu: onnxruntime-web's build for WebGPU is beside the page's scripts, which the viewer does without
+    :param phone: a window of 390 x 844, and a fourth of the processor's speed
     """
     request = {"url": url, "steps": steps, "flags": list(flags), "before": before} | (
         {"webgpu": str(WEBGPU)} if webgpu else {}
     )
+    request |= {"viewport": [390, 844], "slower": 4} if phone else {}
     command = ["node", str(HERE / "browse.mjs"), str(PLAYWRIGHT), chromium()]
     done = subprocess.run(
         command, input=json.dumps(request), capture_output=True, text=True, encoding="utf-8", check=False,

@@ -1,6 +1,6 @@
 // Opens a page in headless Chromium and takes the steps that it is given, one after another; prints what steps give, as JSON.
 // usage: node browse.mjs PLAYWRIGHT CHROMIUM < request
-// request: {"url", "flags": [...], "webgpu": folder of onnxruntime-web's build for it, "before": script run before the page's own, "viewport": [width, height],
+// request: {"url", "flags": [...], "webgpu": folder of onnxruntime-web's build for it, "before": script run before the page's own, "viewport": [width, height], "slower": times that the CPU is,
 //           "steps": [{"wait": selector} | {"click": selector} | {"press": key} | {"fill": [selector, text]} |
 //                     {"upload": [selector, file]} | {"run": expression} | {"hash": selector} | {"picture": file}]}
 // answer:  {"results": [one for each step], "problems": [errors and foreign requests of the page]}
@@ -20,6 +20,7 @@ try {
   const [width, height] = request.viewport ?? [900, 700];
   const page = await browser.newPage({ viewport: { width, height } });
   page.setDefaultTimeout(60_000);
+  if (request.slower) await (await page.context().newCDPSession(page)).send("Emulation.setCPUThrottlingRate", { rate: request.slower });
   page.on("pageerror", (error) => problems.push(`page: ${error.message}`));
   page.on("console", (message) => message.type() === "error" && problems.push(`console: ${message.text()}`));
   page.on("request", (one) => {
