@@ -3,8 +3,8 @@
 usage: python samples/device/make_page.py PHOTO FOLDER
 
 PHOTO is a picture of a face, or a person that `facepipe person` or `fit-photo` wrote (.fpb). FOLDER gets the page and
-its files: me.fpb is the person; the standard head with ARKit's shapes (head.glb) and its basis (head.fpbasis) are
-everyone's. Then `python -m http.server --directory FOLDER` shows it. Needs `python -m facepipe_web.build` before.
+its files: me.fpb is the person; the standard head (head.glb) and its basis (head.fpbasis) are everyone's. Then `python
+-m http.server --directory FOLDER` shows it. Needs the runtime: `python -m facepipe_web.build`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from facepipe_web import build
 
 import facepipe
-from facepipe.rig.conventions import ARKIT_SHAPES
+from facepipe.cli import main as command
 
 HERE = Path(__file__).resolve().parent
 
@@ -49,11 +49,10 @@ def main(words: list[str]) -> int:
     person, stage = folder / "me.fpb", folder / "head.usdc"
     if photo.suffix == ".fpb":
         shutil.copyfile(photo, person)
-    else:
-        facepipe.fit_photo(photo, person=person, overwrite=True)
-    facepipe.sample(stage, seed=0, textures=1024, overwrite=True)
-    options = {"quantize": True, "texture_format": "webp", "texture_size": 1024, "shapes": ",".join(ARKIT_SHAPES)}
-    facepipe.export(stage, folder / "head.glb", engine="three", overwrite=True, **options)
+    elif command(["fit-photo", str(photo), "--person", str(person), "--force"]) > 1:
+        return 2
+    facepipe.sample(stage, seed=0, overwrite=True)
+    facepipe.export(stage, folder / "head.glb", purpose="persons", engine="three", overwrite=True)
     facepipe.basis(out=folder / "head.fpbasis", overwrite=True)
     shutil.copyfile(HERE / "index.html", folder / "index.html")
     bundle(folder / "page.js")

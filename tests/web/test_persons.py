@@ -1,167 +1,167 @@
-"""Persons rebuilt by the runtime's JavaScript, in node: the points and joints of Python, and the same files refused."""
+"""Persons on the head in the browser: points are those that `facepipe apply-bones` gives."""
 
 from __future__ import annotations
 
-import json
+import runpy
 import struct
-import subprocess
 import zlib
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import browser
 import numpy as np
 import pytest
-from browser import DRAWN, READY, browse, run, until
+from browser import DRAWN, READY, Step, browse, run, until
 from faces import tiny_face
-from node import HERE
+from import_data import shared
 from places import REPOSITORY
 
 import facepipe
-from facepipe.core.errors import InputError
+from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import make
-from facepipe.parts import FaceParts, Slider
+from facepipe.parts import Slider
 from facepipe.payload import PayloadContent, encode
-from facepipe.payload.basis import basis_body, decode_basis, digest_of, encode_basis
-from facepipe.payload.person import PersonContent, decode_person, encode_person
 from facepipe.rig import rest_coefficients
-from facepipe.stage import save_parts
-from facepipe.verbs.person_basis import Basis, head_basis, placed, template_basis
+from facepipe.stage import Face, save_parts
+from facepipe.verbs.person_basis import head_basis
 from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.whole_faces import whole_points
 
-pytestmark = [pytest.mark.gate, pytest.mark.slow]
+pytestmark = pytest.mark.slow
 
-MOVED = np.array([30, -20, 5, 0.2, -0.1, 0.3, 0.1])
-
-
-def in_node(folder: Path, basis: Path | None, cases: Sequence[bytes]) -> tuple[list[float | str], np.ndarray]:
-    """What node says of each case, and points and joints (n, 3) of the persons among them, one after another."""
-    (folder / "cases").write_bytes(b"".join(struct.pack("<I", len(one)) + one for one in cases))
-    names = ["-" if basis is None else str(basis), str(folder / "cases"), str(folder / "out")]
-    command = ["node", str(HERE / "person_points.mjs"), str(browser.built() / "person.js"), *names]
-    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
-    assert not done.returncode, done.stderr[-2000:]
-    return json.loads(done.stdout), np.fromfile(folder / "out").reshape(-1, 3)
+FACES = ("Head", "Teeth", "EyeballLeft")
+HELD = ("Brows", "Lashes", "Hair")
 
 
-def differences(folder: Path, basis: Basis, file: Path, persons: Sequence[bytes]) -> list[float]:
-    """Millimetres of points and joints between node and Python, the largest of each person."""
-    said, found = in_node(folder, file, persons)
-    assert all(isinstance(one, float) for one in said), said
-    largest = []
-    for data, own in zip(persons, np.split(found, len(persons)), strict=True):
-        points = basis.rebuilt(decode_person(data, "person"), "person")
-        joints = [joint.shares @ points[joint.points] for joint in basis.content.joints]
-        largest.append(float(np.abs(own - np.vstack([points, *joints])).max()))
-    return largest
+@pytest.fixture(scope="module")
+def me(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Somebody beyond the modes."""
+    points = whole_points(make(3))[: len(head_basis().mean)]
+    points += 3 * np.sin(points[:, [1, 2, 0]] / 25 + [0.3, 0.8, 0.3])
+    path = tmp_path_factory.mktemp("me") / "me.fpb"
+    path.write_bytes(encode_points(head_basis(), points, within=1.0)[0])
+    return path
 
 
-def warped(points: np.ndarray, seed: int) -> np.ndarray:
-    phase = np.random.default_rng(seed).normal(size=3)
-    return np.asarray(points + 3 * np.sin(points[:, [1, 2, 0]] / 25 + phase))
+def read(*meshes: str) -> Step:
+    """The points of meshes, metres."""
+    return run(f"return {list(meshes)}.flatMap((mesh) => Array.from(face.points(mesh)))")
 
 
-def test_people_of_the_head_in_the_box(tmp_path: Path) -> None:
-    """Drawn, a blend by region of two, beyond the modes, and elsewhere at another scale: within 1e-4 mm."""
-    basis = head_basis()
-    count = len(basis.mean)
-    anna, bob = (whole_points(make(seed))[:count] for seed in (3, 8))
-    share = 1 / (1 + np.exp(-(anna[:, 1:2] - anna[:, 1].mean()) / 10))
-    mixed = share * anna + (1 - share) * bob
-    persons = [
-        encode_points(basis, anna, within=5.0)[0],
-        encode_points(basis, mixed, within=0.5)[0],
-        encode_points(basis, warped(anna, 1), within=1.0)[0],
-        encode_points(basis, placed(MOVED, bob, np.zeros(3)), within=5.0)[0],
-        encode_person(PersonContent(basis=basis.digest, modes=np.zeros(0, np.float16))),
-    ]
-    assert len(persons[0]) < 340 < len(persons[1])
-    file = REPOSITORY / "facepipe" / "heads" / "data" / "head.fpbasis"
-    assert max(differences(tmp_path, basis, file, persons)) < 1e-4
+def points_of(face: Face, meshes: tuple[str, ...], values: np.ndarray) -> np.ndarray:
+    """Those of meshes among the points of a face in centimetres, in metres."""
+    parts = face.parts()
+    ends = np.cumsum([len(mesh.points) for mesh in parts.meshes])
+    rows = {mesh.name: np.arange(end - len(mesh.points), end) for mesh, end in zip(parts.meshes, ends, strict=True)}
+    return 0.01 * values[np.concatenate([rows[name] for name in meshes])]
 
 
-def studio(folder: Path, parts: FaceParts | None = None) -> tuple[Basis, Path]:
-    """A face of a studio as a basis, and its file."""
-    basis = template_basis(parts or tiny_face(), "studio")
-    file = folder / "studio.fpbasis"
-    file.write_bytes(encode_basis(basis.content))
-    return basis, file
-
-
-def test_a_studios_own_face(tmp_path: Path) -> None:
-    basis, file = studio(tmp_path)
-    persons = [encode_points(basis, warped(basis.mean, seed), within=0.1)[0] for seed in range(4)]
-    assert max(differences(tmp_path, basis, file, persons)) < 1e-4
-
-
-def test_the_same_bases_are_refused(tmp_path: Path) -> None:
-    """Bodies changed anywhere under a digest that fits, cut files, and more than they say."""
-    body, rng = basis_body(studio(tmp_path)[0].content), np.random.default_rng(1)
-    whole = encode_basis(studio(tmp_path)[0].content)
-    cases = [b"", whole, whole[:10], whole[:20], whole[:-1], whole[:8] + bytes(8) + whole[16:]]
-    for _ in range(400):
-        broken = bytearray(body)
-        for place in rng.integers(0, len(body), rng.integers(1, 4)):
-            broken[place] = rng.choice((broken[place] ^ 1 << rng.integers(8), rng.integers(256)))
-        if rng.random() < 0.2:
-            del broken[rng.integers(len(body)) :]
-        size = len(broken) - 1 if rng.random() < 0.05 else len(broken)
-        head = struct.pack("<4sHH8sI", b"FPBA", 1, 0, digest_of(bytes(broken)), size)
-        cases.append(head + zlib.compress(bytes(broken), 1))
-    said, _ = in_node(tmp_path, None, cases)
-    refused = 0
-    for data, own in zip(cases, said, strict=True):
-        try:
-            expected = np.abs(decode_basis(data, "basis")[0].mean).sum()
-        except InputError:
-            assert isinstance(own, str)
-            assert own.startswith("basis")
-            refused += 1
-        else:
-            assert own == pytest.approx(expected)
-    assert 100 < refused < len(cases) - 50
-
-
-def test_the_viewers_head_becomes_a_person(tmp_path: Path) -> None:
+@pytest.mark.gate
+def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path) -> None:
     """Points are those of `facepipe apply-bones`, moved by shapes, joints and sliders; taken off, the head is back."""
-    head, me, clip = tmp_path / "head.usdc", tmp_path / "me.fpb", tmp_path / "clip.fpb"
+    head, clip = tmp_path / "head.usdc", tmp_path / "clip.fpb"
     parts = make(0)
     joints = parts.skeleton.joints
     jaw = next(i for i, path in enumerate(joints) if path.endswith("jaw"))
     turn = Slider(name="turn", channels=((joints[jaw], "rx", 0.3), (joints[1], "ry", 0.2)))
     save_parts(replace(parts, sliders=(*parts.sliders, turn)), head)
-    points = warped(whole_points(make(3))[: len(head_basis().mean)], 1)
-    me.write_bytes(encode_points(head_basis(), points, within=1.0)[0])
     poses = rest_coefficients(len(joints))
     poses[jaw, 3], poses[1, 4] = 0.3, 0.2
     content = PayloadContent(joints=joints, coefficients=poses, meters_per_unit=parts.meters_per_unit)
     clip.write_bytes(encode(content).data)
     said = 'document.querySelector("section[aria-label=Payload] p").textContent.startsWith("{}")'
-    read = run('return [face.points("Head"), face.points("EyeballLeft")].flatMap((one) => Array.from(one))')
     off = run('[...document.querySelectorAll("button")].find((one) => one.textContent === "Take off").click()')
-    steps = [READY, read, {"upload": ["#payload", str(me)]}, until(said.format("me.fpb: a person in")), read]
-    steps += [run("await face.setSliders({ turn: 1 })"), read, run("await face.setSliders({ turn: 0 })")]
+    seen = read(*FACES)
+    steps: list[Step] = [
+        READY,
+        seen,
+        {"upload": ["#payload", str(me)]},
+        until(said.format("me.fpb: a person in")),
+        seen,
+    ]
+    steps += [run("await face.setSliders({ turn: 1 })"), seen, run("await face.setSliders({ turn: 0 })")]
     steps += [
         {"upload": ["#payload", str(clip)]},
         until(said.format("clip.fpb")),
         run("await face.setShapes({ jawOpen: 0.5 })"),
-        read,
+        seen,
     ]
     with browser.viewing(head) as url:
-        results, problems = browse(url, *steps, run("await face.reset()"), off, DRAWN, read)
+        results, problems = browse(url, *steps, run("await face.reset()"), off, DRAWN, seen)
     assert problems == []
     before, still, slid, posed, after = (np.reshape(one, (-1, 3)) for one in results if one and len(one) > 9)
     facepipe.apply_bones(head, me, out=tmp_path / "me.usdc")
-    person, eye = facepipe.open(tmp_path / "me.usdc"), parts.meshes[3]
-    start = sum(len(mesh.points) for mesh in parts.meshes[:3])
-    own = np.r_[0 : len(parts.meshes[0].points), start : start + len(eye.points)]
-    assert np.abs(still - 0.01 * person.evaluate()[own]).max() < 1e-6
-    for found, expected in (
+    person = facepipe.open(tmp_path / "me.usdc")
+    assert np.abs(still - points_of(person, FACES, person.evaluate())).max() < 1e-6
+    for found, values in (
         (slid, person.evaluate(sliders={"turn": 1.0})),
         (posed, person.evaluate({"jawOpen": 0.5}, coefficients=poses)),
     ):
-        assert np.abs(found - 0.01 * expected[own]).max() < 1e-5 * 0.01 * person.head_height
+        assert np.abs(found - points_of(person, FACES, values)).max() < 1e-7 * person.head_height
         assert np.abs(found - still).max() > 0.01
     np.testing.assert_array_equal(before, after)
+
+
+def test_payloads_of_others_are_refused(me: Path, tmp_path: Path) -> None:
+    """Damaged, of another basis, and on a face without the basis's meshes: a line each, and the face stays."""
+    data = bytearray(me.read_bytes())
+    for name, place in (("damaged", 40), ("other", 12)):
+        broken = data[:place] + bytes([data[place] ^ 1]) + data[place + 1 : -4]
+        sealed = struct.pack("<I", zlib.crc32(broken)) if name == "other" else bytes(data[-4:])
+        (tmp_path / f"{name}.fpb").write_bytes(broken + sealed)
+    save_parts(tiny_face(), tmp_path / "tiny.usda")
+    save_parts(make(0), tmp_path / "head.usdc")
+    seen, texts = read("Head"), {"run": 'document.querySelector(".messages")?.textContent ?? ""'}
+    uploads = [{"upload": ["#payload", str(tmp_path / f"{name}.fpb")]} for name in ("damaged", "other")]
+    said = until(f'document.querySelectorAll(".message").length === {len(uploads)}')
+    with browser.viewing(tmp_path / "head.usdc") as url:
+        results, problems = browse(url, READY, seen, *uploads, said, texts, seen)
+    assert problems == []
+    assert "damaged.fpb: is damaged: its CRC differs" in results[-2]
+    assert "other.fpb: a person on another basis" in results[-2]
+    assert results[1] == results[-1]
+    with browser.viewing(tmp_path / "tiny.usda") as url:
+        results, problems = browse(url, READY, {"upload": ["#payload", str(me)]}, {"wait": ".message"}, texts)
+    assert "mesh Head has 36 points, expected the 14062 of the built-in head" in results[-1]
+
+
+def shown(folder: Path, payload: Path) -> None:
+    """The page of samples/device: of a payload or a photo, in a phone's window; its person is that of `apply-bones`."""
+    browser.chromium()
+    names = runpy.run_path(str(REPOSITORY / "samples" / "device" / "make_page.py"))
+    assert names["main"]([str(payload), str(folder)]) == 0
+    meshes = (*FACES, *HELD)
+    seen = {"run": f"{list(meshes)}.flatMap((mesh) => Array.from(face.points(mesh)))"}
+    said = {"run": "document.getElementById('said').textContent"}
+    vertices = """face.meshes[0].primitives.flatMap(({ geometry: { attributes } }) => {
+      const [points, normals] = [attributes._facepipe_point.array, attributes.normal.array];
+      return Array.from(points, (point, i) => [point, ...normals.slice(3 * i, 3 * i + 3)]);
+    })"""
+    with browser.serving(folder) as url:
+        steps = [READY, said, seen, {"click": "#head"}, DRAWN, seen, {"click": "#person"}, DRAWN, seen]
+        steps += [{"run": vertices}]
+        results, problems = browse(url, *steps, phone=True)
+    assert problems == []
+    assert results[1].startswith(f"A person in {(folder / 'me.fpb').stat().st_size} bytes, put on in ")
+    head = facepipe.open(folder / "head.usdc")
+    facepipe.apply_bones(folder / "head.usdc", folder / "me.fpb", out=folder / "me.usdc")
+    person = facepipe.open(folder / "me.usdc")
+    for found, face in zip(results[2:9:3], (person, head, person), strict=True):
+        off = np.abs(np.reshape(found, (-1, 3)) - points_of(face, meshes, face.evaluate()))
+        assert off.max() < 1e-6
+    skin, own = person.parts().meshes[0], np.array(results[-1])
+    triangles = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
+    normals = point_normals(skin.points, triangles)[own[:, 0].astype(int)]
+    assert np.linalg.norm(own[:, 1:] - normals, axis=1).max() < 1e-3
+
+
+@pytest.mark.gate
+def test_the_page_of_a_payload(me: Path, tmp_path: Path) -> None:
+    shown(tmp_path / "page", me)
+
+
+@pytest.mark.needs_torch
+def test_the_page_of_a_selfie(tmp_path: Path) -> None:
+    """The whole way: a photo of a camera, 271 bytes, the person in the browser."""
+    shown(tmp_path / "page", shared("photos/astronaut.png"))
+    assert (tmp_path / "page" / "me.fpb").stat().st_size < 300

@@ -50,6 +50,7 @@ const MAGIC = 0x41425046; // FPBA
 const HEADER = 20;
 const MOST_BYTES = 2 ** 28;
 const MOST_POINTS = 2 ** 20;
+const MOST_PARTS = 16;
 const FINEST = 1e6; // places in a millimetre
 const WHOLE = 64;
 const [NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS] = [1, 2, 3, 4, 5, 6, 7];
@@ -74,6 +75,9 @@ export async function readBasis(bytes: ArrayBuffer, where = "basis"): Promise<Ba
   if (hash !== null && hash !== digest) throw new FaceError(where, "is damaged: its digest differs");
   const sections = readSections(body, where);
   const of = (kind: number) => new Bytes(sections.get(kind)?.data ?? new Uint8Array(0), `${where} -> section of kind ${kind}`);
+  for (const { kind, required } of sections.values()) {
+    if (required && kind > JOINTS) throw new FaceError(where, `section of kind ${kind}, which this version of facepipe does not know`);
+  }
   for (const kind of [NAME, MESHES, MEAN, LEVELS]) {
     if (!sections.has(kind)) throw new FaceError(where, `no section of kind ${kind}, expected one`);
   }
@@ -204,6 +208,7 @@ function readModes(bytes: Bytes, count: number, levels: Level[]): { step: number
 function readParts(bytes: Bytes, count: number): RigidPart[] {
   const parts: RigidPart[] = [];
   while (bytes.left) {
+    if (parts.length === MOST_PARTS) throw bytes.wrong(`more than ${MOST_PARTS} parts`);
     const [withModes, length] = [bytes.byte(), bytes.uint16()];
     const ends = bytes.many(2 * length, 4, bytes.uint32);
     const ascend = ends.every((end, i) => !i || (i % 2 ? end > ends[i - 1] : end >= ends[i - 1]));

@@ -12,13 +12,12 @@ export interface Followed {
   offsets: Float32Array;
 }
 
-const SURFACE = "Head"; // the mesh that cards of hair, brows and lashes lie on
 const NEAR = 3;
 const NEXT = 1e-4; // metres that points are apart at least
 
 /**
- * Of each primitive: the points of a mesh that the basis has; of cards the corners that the file names; else those of
- * the three points nearest to it in the file.
+ * Of each primitive: the corners that the file names, of cards and levels of detail; the points of a mesh that the basis
+ * has; else the three points of these nearest to it in the file.
  * @throws FaceError no mesh of the basis is there, or one is another
  */
 export function followedPoints(meshes: FaceMesh[], basis: Basis): Map<Mesh, Followed> {
@@ -26,6 +25,10 @@ export function followedPoints(meshes: FaceMesh[], basis: Basis): Map<Mesh, Foll
   const before = new Float32Array(3 * basis.count).fill(NaN); // points as they are in the file
   const others: Mesh[] = [];
   for (const mesh of meshes) {
+    if (mesh.holds !== null) {
+      for (const primitive of mesh.primitives) found.set(primitive, onCorners(primitive, basis, mesh.holds));
+      continue;
+    }
     const at = basis.meshes.findIndex((one) => one.name === mesh.name);
     if (at < 0) {
       others.push(...mesh.primitives);
@@ -43,8 +46,8 @@ export function followedPoints(meshes: FaceMesh[], basis: Basis): Map<Mesh, Foll
     }
   }
   if (!found.size) throw new FaceError("person", `the face has none of the meshes ${basis.meshes.map((one) => one.name).join(", ")}`);
-  const near = nearestAmong(before);
-  for (const primitive of others) found.set(primitive, onCorners(primitive, basis) ?? besides(primitive, before, near));
+  const near = others.length ? nearestAmong(before) : () => [];
+  for (const primitive of others) found.set(primitive, besides(primitive, before, near));
   return found;
 }
 
@@ -59,19 +62,19 @@ function itself(primitive: Mesh, first: number, count: number): Followed {
   return { width: 1, rows, shares: new Float32Array(rows.length).fill(1), offsets: new Float32Array(3 * rows.length) };
 }
 
-/** Of cards, which lie on the skin: docs/files.md, `_FACEPIPE_CORNERS`; null for other meshes. */
-function onCorners(primitive: Mesh, basis: Basis): Followed | null {
+/** Of cards, which lie on the skin, and levels of detail: docs/files.md, `_FACEPIPE_CORNERS`. */
+function onCorners(primitive: Mesh, basis: Basis, surface: string): Followed {
   const { _facepipe_corners: corners, _facepipe_shares: shares, _facepipe_offset: offset } = primitive.geometry.attributes;
-  const points = basis.meshes.find((one) => one.name === SURFACE)?.points ?? 0;
-  if (!corners || !shares || !offset || !points) return null;
-  const first = firstPoint(basis, SURFACE);
+  const points = basis.meshes.find((one) => one.name === surface)?.points ?? 0;
+  if (!corners || !shares || !offset || !points) throw new FaceError("person", `a mesh without what holds it on ${surface}`);
+  const first = firstPoint(basis, surface);
   const made = room(corners.count);
   for (let i = 0; i < corners.count; i++) {
     const [a, b] = [shares.getX(i), shares.getY(i)];
     made.shares.set([a, b, 1 - a - b], NEAR * i);
     made.offsets.set([offset.getX(i), offset.getY(i), offset.getZ(i)], 3 * i);
     const own = [corners.getX(i), corners.getY(i), corners.getZ(i)];
-    if (!own.every((corner) => corner >= 0 && corner < points)) throw new FaceError("person", `corners ${own} of a card, expected points of ${SURFACE}`);
+    if (!own.every((corner) => corner >= 0 && corner < points)) throw new FaceError("person", `corners ${own}, expected points of ${surface}`);
     made.rows.set(own.map((corner) => first + corner), NEAR * i);
   }
   return made;

@@ -11,6 +11,8 @@ export interface FaceMesh {
   /** points on the stage; several vertices may stand for one */
   pointCount: number;
   targets: string[];
+  /** the mesh that this one's vertices lie on (docs/files.md, `_FACEPIPE_CORNERS`) */
+  holds: string | null;
   /** target -> its knots (shape weight, target weight), of shapes with inbetweens */
   curves: Record<string, [number, number][]>;
   /** inbetween target -> shape */
@@ -29,7 +31,7 @@ interface MeshRecord {
   name?: string;
   extras?: {
     targetNames?: string[];
-    facepipe?: { pointCount?: number; curves?: FaceMesh["curves"]; inbetweens?: FaceMesh["inbetweens"] };
+    facepipe?: { pointCount?: number; holds?: string; curves?: FaceMesh["curves"]; inbetweens?: FaceMesh["inbetweens"] };
   };
 }
 
@@ -50,8 +52,10 @@ export async function readGlb(url: string): Promise<LoadedGlb> {
     const mesh = object as SkinnedMesh;
     const number = mesh.isMesh ? associations.get(mesh)?.meshes : undefined;
     if (number === undefined) return;
-    const entry = found.get(number) ?? described(json.meshes?.[number] ?? {}, mesh.geometry);
+    const record = json.meshes?.[number] ?? {};
+    const entry = found.get(number) ?? described(record, mesh.geometry);
     entry.primitives.push(mesh);
+    if (!record.extras?.facepipe?.pointCount) entry.pointCount = Math.max(entry.pointCount, countOf(mesh));
     found.set(number, entry);
     mesh.frustumCulled = false; // its bounds are those of the neutral
     if (mesh.isSkinnedMesh) skeleton = mesh.skeleton;
@@ -74,8 +78,9 @@ function described(record: MeshRecord, geometry: BufferGeometry): FaceMesh {
   const targets = geometry.morphAttributes.position?.length ?? 0;
   return {
     name: record.name ?? "mesh",
-    pointCount: own?.pointCount ?? geometry.attributes.position.count,
+    pointCount: own?.pointCount ?? 0,
     targets: record.extras?.targetNames ?? Array.from({ length: targets }, (_, i) => `target${i}`),
+    holds: own?.holds ?? null,
     curves: own?.curves ?? {},
     inbetweens: own?.inbetweens ?? {},
     primitives: [],
@@ -87,4 +92,12 @@ export function pointNumbers(primitive: Mesh): ArrayLike<number> {
   const { attributes } = primitive.geometry;
   const own = attributes._facepipe_point;
   return own ? own.array : Array.from({ length: attributes.position.count }, (_, i) => i);
+}
+
+/** Points as far as the vertices of a primitive tell. */
+function countOf(primitive: Mesh): number {
+  const numbers = pointNumbers(primitive);
+  let last = -1;
+  for (let i = 0; i < numbers.length; i++) last = Math.max(last, numbers[i]);
+  return last + 1;
 }

@@ -1,0 +1,64 @@
+// What the runtime's person.js makes of the cases of tests/support/person_corpus.py: node corpus.mjs PERSON_JS ...
+//
+//   persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
+//   bases CASES           the same of bases, and of the points that all of their modes give
+//   points BASIS FPB OUT  points and joints as float64
+//   time BASIS FPB        milliseconds of processor time: the basis, then a person, the first and in the middle of 21
+import { readFileSync, writeFileSync } from "node:fs";
+import { pathToFileURL } from "node:url";
+
+const [script, what, ...files] = process.argv.slice(2);
+const { FaceError, jointPlaces, parsePerson, readBasis, rebuilt } = await import(pathToFileURL(script));
+const read = (file) => Uint8Array.from(readFileSync(file)).buffer;
+const processor = () => process.cpuUsage().user / 1e3 + process.cpuUsage().system / 1e3;
+
+if (what === "bases") {
+  // as on a page without SHA-256: digests are the names that others give
+  Object.defineProperty(globalThis, "crypto", { value: undefined });
+  await judge(files[0], async (bytes) => {
+    const basis = await readBasis(bytes, "case");
+    return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes: basis.modes.map(() => 1), placement: null, parts: [], points: new Uint8Array(0) }));
+  });
+} else {
+  const before = processor();
+  const basis = await readBasis(read(files[0]), files[0]);
+  const loaded = processor() - before;
+  const person = (bytes) => made(basis, rebuilt(basis, parsePerson(bytes, "case")));
+  if (what === "persons") await judge(files[1], person);
+  else if (what === "points") writeFileSync(files[2], Buffer.concat(person(read(files[1])).map((one) => new Uint8Array(one.buffer))));
+  else {
+    const took = Array.from({ length: 21 }, () => {
+      const start = processor();
+      person(read(files[1]));
+      return processor() - start;
+    });
+    console.log([loaded, took[0], took.sort((a, b) => a - b)[10]].map((one) => one.toFixed(1)).join(" "));
+  }
+}
+
+function made(basis, points) {
+  return [points, jointPlaces(basis, points)];
+}
+
+/** A line for each case: uint32 length, bytes, one after another. */
+async function judge(file, make) {
+  const cases = read(file);
+  for (let at = 0, length; at < cases.byteLength; at += 4 + length) {
+    length = new DataView(cases).getUint32(at, true);
+    try {
+      console.log(["ok", ...(await make(cases.slice(at + 4, at + 4 + length))).flatMap(figures)].join(" "));
+    } catch (error) {
+      if (!(error instanceof FaceError) || error.message.includes("\n")) throw error; // a bug, and no line for users
+      console.log("no");
+    }
+  }
+}
+
+function figures(values) {
+  let [size, weighted] = [0, 0];
+  values.forEach((value, i) => {
+    size += Math.abs(value);
+    weighted += value * (1 + (i % 7));
+  });
+  return [size, weighted].map((one) => (one / Math.max(values.length, 1)).toPrecision(9));
+}
