@@ -184,6 +184,26 @@ def person_bytes(folder: Path) -> Image.Image:
 
 
 @of_docs
+def person_page(folder: Path) -> Image.Image:
+    """The page of samples/device in a phone's window: the standard head, the person of that portrait, and smiling."""
+    make_page = runpy.run_path(str(HERE.parent / "samples" / "device" / "make_page.py"))
+    if make_page["main"]([str(PHOTO), str(folder / "page")]):
+        raise SystemExit("samples/device/make_page.py failed")
+    names = ("head", "person", "smile")
+    smile = "smile.value = 0.8, smile.dispatchEvent(new Event('input')), new Promise((done) => setTimeout(done, 1000))"
+    presses = ({"click": "#head"}, {"click": "#person"}, {"run": smile})
+    steps: list[dict[str, str]] = [{"wait": "body[data-state=ready]"}]
+    for name, press in zip(names, presses, strict=True):
+        steps += [press, {"picture": str(folder / f"{name}.png")}]
+    with served(folder / "page") as url:
+        browse(url, (390, 844), steps)
+    whole = Image.new("RGB", (3 * 390 + 2 * 12, 844), "white")
+    for number, name in enumerate(names):
+        whole.paste(Image.open(folder / f"{name}.png"), (402 * number, 0))
+    return whole
+
+
+@of_docs
 def bones(folder: Path) -> Image.Image:
     """Two shapes of a person: rest, target, what bones reach of it, what they leave, and what the residual adds."""
     names, head = ("jawOpen", "mouthSmileLeft"), person(folder, 10)
