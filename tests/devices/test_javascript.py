@@ -1,0 +1,36 @@
+"""The browser runtime rebuilds persons as Python does, in node, and gives the same verdicts on damaged ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import browser
+import person_corpus
+import pytest
+from device_readers import corpus_disagreements
+from places import SUPPORT
+from rebuilt_people import PEOPLE, assert_rebuilt_as_python
+
+pytestmark = pytest.mark.slow  # the runtime is built
+
+
+@pytest.fixture(scope="module")
+def driver() -> list[str]:
+    return ["node", str(SUPPORT / "devices" / "corpus.mjs"), str(browser.built() / "person.js")]
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("name", PEOPLE)
+def test_points_and_joints_are_pythons(driver: list[str], name: str, tmp_path: Path) -> None:
+    assert_rebuilt_as_python(driver, name, tmp_path)
+
+
+@pytest.mark.gate
+def test_verdicts_are_pythons(driver: list[str], tmp_path: Path) -> None:
+    person_corpus.write(tmp_path, 400, seed=1)
+    assert corpus_disagreements(driver, tmp_path) == []
+
+
+def test_no_case_of_20_000_is_judged_otherwise(driver: list[str], tmp_path: Path) -> None:
+    assert sum(person_corpus.write(tmp_path, 20_000).values()) == 20_000
+    assert corpus_disagreements(driver, tmp_path) == []
