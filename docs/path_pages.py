@@ -51,7 +51,7 @@ _NO_PATHS = {  # options whose help speaks of files, and that hold none
 _OPENED = {"checkpoint": _WRITTEN, "state": f"{_TYPED} {_WRITTEN}", "folder": _WRITTEN}
 _OPENED |= dict.fromkeys(("local", "cache"), _TYPED)  # of batch: folders of the caller's
 _OPENED |= {"output": _WRITTEN, "out": _WRITTEN, "edit": f"{_TYPED} {_WRITTEN}"}
-_OPENED |= dict.fromkeys(("face", "other", "onnx", "files", "source", "stages"), _TYPED)  # of commands
+_OPENED |= dict.fromkeys(("face", "other", "onnx", "basis", "files", "source", "stages"), _TYPED)  # of commands
 _OPENED |= dict.fromkeys(("neural", "identity", "meta", "weights", "limits", "wheels"), _TYPED) | {"rename": _REGULAR}
 _SPEAKS_OF_FILES = re.compile(
     r"\b(files?|folders?|URLs?|DIR|FILE|GLOB|ADDRESS|OUT|PLAN|path)\b|\.(json|csv|toml|usd|npz)|http"
