@@ -125,6 +125,28 @@ def test_payloads_of_others_are_refused(me: Path, tmp_path: Path) -> None:
     assert "mesh Head has 36 points, expected the 14062 of the built-in head" in results[-1]
 
 
+def test_pictures_of_a_person_are_seen(tmp_path: Path) -> None:
+    """Those of the payload, and after it those of the file; a damaged one is refused in a line."""
+    save_parts(make(0, textures=64), tmp_path / "head.usdc")
+    save_parts(make(3, textures=64), tmp_path / "anna.usdc")
+    facepipe.person(tmp_path / "anna.usdc", out=tmp_path / "me.fpb", look=True, textures=32)
+    data = (tmp_path / "me.fpb").read_bytes()
+    broken = data[:-4].replace(b"WEBP", b"WEBX")
+    (tmp_path / "bad.fpb").write_bytes(broken + struct.pack("<I", zlib.crc32(broken)))
+    sizes = run("return face.meshes[0].primitives.map(({ material: { map } }) => map.image.width)")
+    said = "document.querySelector('section[aria-label=Payload] p').textContent"
+    off = run('[...document.querySelectorAll("button")].find((one) => one.textContent === "Take off").click()')
+    back = until("face.meshes[0].primitives[0].material.map.image.width === 64")
+    steps = [READY, sizes, {"upload": ["#payload", str(tmp_path / "me.fpb")]}, until(f"{said}.startsWith('me.fpb')")]
+    with browser.viewing(tmp_path / "head.usdc") as url:
+        bad: list[Step] = [{"upload": ["#payload", str(tmp_path / "bad.fpb")]}, {"wait": ".message"}]
+        message = {"run": "document.querySelector('.message').innerText"}
+        results, problems = browse(url, *steps, sizes, off, back, sizes, *bad, message)
+    assert problems == []
+    assert (results[1], results[4], results[7]) == ([64, 64], [32, 32], [64, 64])
+    assert "no picture that the browser reads" in results[-1]
+
+
 def shown(folder: Path, payload: Path) -> None:
     """The page of samples/device: of a payload or a photo, in a phone's window; its person is that of `apply-bones`."""
     browser.chromium()

@@ -17,7 +17,7 @@ if (what === "bases") {
   Object.defineProperty(globalThis, "crypto", { value: undefined });
   await judge(files[0], async (bytes) => {
     const basis = await readBasis(bytes, "case");
-    return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes: basis.modes.map(() => 1), placement: null, parts: [], points: new Uint8Array(0) }));
+    return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes: basis.modes.map(() => 1), placement: null, parts: [], points: [] }));
   });
 } else {
   const before = processor();

@@ -11,6 +11,7 @@ import type { Network } from "./network";
 import { resetNeutral, setNeutral } from "./neutral";
 import { jointsHash, type Payload } from "./payload";
 import { jointPlaces, type Person, rebuilt } from "./person";
+import { readPictures, setPictures } from "./pictures";
 import { readPoints } from "./read_points";
 import { setFromGraph, setFromShapes, shapesOf } from "./targets";
 
@@ -115,7 +116,7 @@ export class Face {
 
   /**
    * Be a person, until `setPerson(null)`: points, normals and joints are theirs, and sliders, shapes and payloads move
-   * these. Cards and other meshes go with the points of the basis.
+   * these. Cards and other meshes go with the points of the basis; materials have the person's pictures, if any.
    * @param basis of which the GLB has the meshes
    * @throws FaceError a person of another basis, or a basis of another face
    */
@@ -125,11 +126,13 @@ export class Face {
     if (!person || !basis) {
       this.meshes.forEach(resetNeutral);
       this.joints?.setRest(new Map());
+      setPictures(this.meshes, new Map());
       return this.update();
     }
     const points = rebuilt(basis, person).map((value) => value * MM);
     const followed = this.followed.get(basis) ?? followedPoints(this.meshes, basis);
     this.followed.set(basis, followed);
+    setPictures(this.meshes, await readPictures(person.pictures, person.where));
     for (const mesh of this.meshes) {
       setNeutral(mesh, (primitive, vertex, _, out) => {
         const { width, rows, shares, offsets } = followed.get(primitive)!;

@@ -17,6 +17,10 @@ export interface Person {
   parts: number[][];
   /** section of offsets, by levels */
   points: Uint8Array;
+  /** section of pictures of materials */
+  pictures: Uint8Array;
+  /** bone coefficients on top, for `parsePayload` */
+  coefficients: ArrayBuffer | null;
   /** kinds of sections that are left out */
   skipped: number[];
 }
@@ -25,6 +29,7 @@ const MAGIC = 0x43425046; // FPBC
 const VERSION = 2;
 const HEADER = 8;
 const [BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS] = [1, 2, 3, 4, 5, 6];
+const [PICTURES, COEFFICIENTS] = [10, 11]; // which may be left out
 const DIGEST = 8; // bytes
 const MOST_MODES = 4096;
 const MOST_PARTS = 16;
@@ -79,7 +84,9 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
     placement: checkedMoves(rows(PLACEMENT, 4, 7, 1, "placement"), where)[0] ?? null,
     parts: checkedMoves([...still, ...rows(TURNED_PARTS, 2, 7, MOST_PARTS, "parts")], where),
     points: sections.get(POINTS)?.data ?? new Uint8Array(0),
-    skipped: skipped.map(({ kind }) => kind),
+    pictures: sections.get(PICTURES)?.data ?? new Uint8Array(0),
+    coefficients: sections.has(COEFFICIENTS) ? Uint8Array.from(sections.get(COEFFICIENTS)!.data).buffer : null,
+    skipped: skipped.map(({ kind }) => kind).filter((kind) => kind !== PICTURES && kind !== COEFFICIENTS),
   };
 }
 
