@@ -68,7 +68,9 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
     )
     clamp: bool = option(False, "bring coefficients into the bone limits of FACE")
     name: str | None = option(None, "name of the animation (default: the file's)")
-    as_section: bool = option(False, "keep a person as the payload's bytes over FACE's own points", flag="--section")
+    as_section: bool = option(
+        False, "keep a person as the payload's bytes over FACE's own points", flag="--section", before=False
+    )
 
     def check(self) -> None:
         super().check()

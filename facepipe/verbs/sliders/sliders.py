@@ -61,7 +61,7 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
         "learned network to put beside the sliders: .npz", default=None, flag="--from-network", metavar="NPZ"
     )
     person: Path | None = source(
-        "person whose own values to set: .fpb, or a face", default=None, flag="--person", metavar="FILE"
+        "person whose own values to set: .fpb, or a face", default=None, flag="--person", metavar="FILE", before=None
     )
     shapes: str | None = option(
         None,
