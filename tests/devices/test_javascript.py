@@ -7,7 +7,7 @@ from pathlib import Path
 import browser
 import person_corpus
 import pytest
-from device_readers import corpus_disagreements
+from device_readers import corpus_disagreements, run
 from places import SUPPORT
 from rebuilt_people import PEOPLE, assert_rebuilt_as_python
 
@@ -34,3 +34,10 @@ def test_verdicts_are_pythons(driver: list[str], tmp_path: Path) -> None:
 def test_no_case_of_20_000_is_judged_otherwise(driver: list[str], tmp_path: Path) -> None:
     assert sum(person_corpus.write(tmp_path, 20_000).values()) == 20_000
     assert corpus_disagreements(driver, tmp_path) == []
+
+
+@pytest.mark.gate
+def test_bone_coefficients_get_the_verdicts_of_python(driver: list[str], tmp_path: Path) -> None:
+    person_corpus.write_poses(tmp_path, 3000)
+    lines = run([*driver, "poses", str(tmp_path / "poses.cases")]).splitlines()
+    assert person_corpus.disagreements(tmp_path, "poses", lines) == []

@@ -2,13 +2,14 @@
 //
 //   persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
 //   bases CASES           the same of bases, and of the points that all of their modes give
+//   poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   points BASIS FPB OUT  points and joints as float64
 //   time BASIS FPB        milliseconds of processor time: the basis, then a person, the first and in the middle of 21
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [script, what, ...files] = process.argv.slice(2);
-const { FaceError, jointPlaces, parsePerson, readBasis, rebuilt } = await import(pathToFileURL(script));
+const { FaceError, jointPlaces, parsePayload, parsePerson, readBasis, rebuilt } = await import(pathToFileURL(script));
 const read = (file) => Uint8Array.from(readFileSync(file)).buffer;
 const processor = () => process.cpuUsage().user / 1e3 + process.cpuUsage().system / 1e3;
 
@@ -18,6 +19,11 @@ if (what === "bases") {
   await judge(files[0], async (bytes) => {
     const basis = await readBasis(bytes, "case");
     return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes: basis.modes.map(() => 1), placement: null, parts: [], points: [] }));
+  });
+} else if (what === "poses") {
+  await judge(files[0], (bytes) => {
+    const { frames, times } = parsePayload(bytes, "case");
+    return [frames.flatMap((frame) => Array.from(frame)), Array.from(times ?? [])];
   });
 } else {
   const before = processor();

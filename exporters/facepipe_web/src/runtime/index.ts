@@ -4,5 +4,4 @@ export type { FaceMesh } from "./glb";
 export { loadFace, type LoadOptions } from "./load_face";
 export type { Metadata } from "./metadata";
 export type { Backend, NetworkOptions } from "./network";
-export { jointsHash, parsePayload, type Payload } from "./payload";
 export * from "./persons";
