@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe import __version__
+from facepipe.core import __version__
 from facepipe.core.arrays import IntArray
 from facepipe.core.reports import ExportReport
 from facepipe.onnx_graph import Nodes
