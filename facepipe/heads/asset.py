@@ -26,7 +26,6 @@ ATTRIBUTION = (
 STEP = 0.001  # cm: of packed offsets
 BASIS = "head.fpbasis"
 IDENTITY_MODES = 100  # of the basis's modes: those after them are of what is fitted to a person
-_CM = 10.0  # millimetres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +42,7 @@ class Part:
 class Asset:
     """n points, f faces, c face corners, m modes, j joints."""
 
+    points: FloatArray  # (n, 3) the average head; the basis's mean to 5e-6 mm, which tips ties of nearest points
     basis: BasisContent  # of persons as payloads: the average head, the m identity modes, and some of what is fitted
     basis_digest: bytes
     shapes: Mapping[str, Mapping[float, npt.NDArray[np.float32]]]  # name -> weight, 1 the last -> (n, 3) offsets there
@@ -62,11 +62,6 @@ class Asset:
     joint_shares: FloatArray  # (j, k) the weighted mean
     skin_joints: IntArray  # (n, 4)
     skin_weights: FloatArray  # (n, 4)
-
-    @cached_property
-    def points(self) -> FloatArray:
-        """(n, 3) the average head."""
-        return self.basis.mean / _CM
 
     @cached_property
     def modes(self) -> npt.NDArray[np.float32]:
@@ -129,6 +124,7 @@ def asset() -> Asset:
     ends = np.vstack([[0, 0], data["mesh_ends"]])
     corners = np.append(0, np.cumsum(data["counts"], dtype=np.int64))
     return Asset(
+        points=data["points"].astype(np.float64),
         basis=basis,
         basis_digest=digest,
         shapes=shapes,

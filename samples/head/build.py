@@ -93,6 +93,7 @@ def surface(model: Model, regions: dict[str, Floats]) -> Arrays:
     last = {part.mesh: part for part in KEPT}
     regions_of = {part.mesh: part.region for part in reversed(KEPT)}  # Head's first part has none
     return {
+        "points": model.points.astype(np.float32),
         "counts": model.counts.astype(np.uint8),
         "indices": model.indices,
         "uvs": model.uvs.astype(np.float32),
