@@ -1110,9 +1110,11 @@ def skin(
     influences: int = 4,
     sharpness: float = 1.0,
     smoothing: float = 2.0,
+    count: int = 60,
     iterations: int = 10,
     evenness: float = 0.3,
     joints: str | os.PathLike[str] | None = None,
+    learn_from: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     source: str | os.PathLike[str] | None = None,
     optimise: bool = False,
     picture: str | os.PathLike[str] | None = None,
@@ -1122,10 +1124,12 @@ def skin(
     :param influences: most joints that move a point
     :param sharpness: how far joints of --joints keep to their own: at 4, weights fall off about twice as fast as at 1
     :param smoothing: weights of --from are smoothed over this length along the surface [mm]
+    :param count: joints of --learn-from
     :param iterations: rounds of --optimise
     :param evenness: how much --optimise keeps weights even from point to point: more is smoother and misses more
     :param face: face stage without joints, or with the same ones
     :param joints: where joints are
+    :param learn_from: faces of the same topology to learn joints and weights from: one .fpdb, or stages
     :param source: a skinned face, of any topology
     :param optimise: refine the weights for the face's own blendshapes
     :param picture: draw the weights on the face, a colour a joint

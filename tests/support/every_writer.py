@@ -77,6 +77,8 @@ export lods.usda -o lods.glb --lods
 lod third.usdz --triangles 3000 --flatten -o flat_lods.usdc
 import ict ict.npz ict.usdc --identity-seed 7
 import makehuman makehuman.npz mh.usdc --sliders arkit
+import ict ict.npz icts.usdc --identity-seed 8
+skin ict.usdc --learn-from icts.usdc --count 4 -o learnt.usda
 """
 DOMES = """
 export tiny.usda -o learned.onnx --sliders --distil --distil-steps 100 --distil-threshold-mm 100

@@ -395,6 +395,10 @@ LINES: dict[str, Line] = {
         uses=("bare.usda", "joints.json"),
         more=("out.png",),
     ),
+    "skin learnt": _out(
+        *("skin", "bare.usda", "--learn-from", "faces.fpdb", "--count", "3", "-o", "out.usda"),
+        uses=("bare.usda", "faces.fpdb"),
+    ),
     "sliders from": _out("sliders", "a.usda", "--from", "table.toml", "-o", "out.usda", uses=("a.usda", "table.toml")),
     "sliders set": _out("sliders", "slid.usda", "--set", "open=0.5", "-o", "out.usda", uses=("slid.usda", "a.usda")),
     "sliders from network": _out(

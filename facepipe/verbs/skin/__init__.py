@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
+    from facepipe.verbs.skin.from_examples import read_examples
     from facepipe.verbs.skin.from_joints import JointSet, JointSpec, read_joints
     from facepipe.verbs.skin.options import SkinOptions
     from facepipe.verbs.skin.skin import Skin
@@ -20,5 +21,6 @@ __all__ = [
     "SkinFace",
     "SkinOptions",
     "SkinReport",
+    "read_examples",
     "read_joints",
 ]

@@ -1,4 +1,4 @@
-"""Give a face a skeleton and skin weights: from joint positions, or from another face's skeleton.
+"""Give a face a skeleton and skin weights: from joint positions, another face's skeleton, or example faces.
 
 --joints holds where joints are, in the world: {"unit": "mm", "joints": {"head": {"position": [0, 60, 20]}, "head/jaw":
 {"position": [0, 0, 20], "surface": false}, "head/jaw/chin": {"position": [0, -72, 100], "regions": ["mouth_lower"]}},
@@ -16,6 +16,11 @@ distance of the moved points, before and after, with the best rigid motion of ea
 and only weights are authored. For bone coefficients of each shape, within limits and with scale, fit the result:
 facepipe fit-bones OUT --target shapes -o FITTED.
 
+--learn-from takes faces of FACE's topology, one database (.fpdb) or face stages, and learns --count joints with which
+bone coefficients come nearest to them: who people are, as bones. Where joints stand, and whose points are, follows from
+how the faces differ; the limits are what they needed and a quarter more. facepipe fit-bones OUT --target FACE -o FITTED
+then brings the bones to a face.
+
 A face that has the same joints keeps their order; where they stand may change, what its animations do relative to rest
 does not. OUT is an override layer over FACE.
 
@@ -23,6 +28,7 @@ examples:
   facepipe skin head.usdc --joints joints.json -o skinned.usdc --picture weights.png
   facepipe skin ict.usdc --from makehuman.usdc -o rigged.usdc --optimise
   facepipe fit-bones rigged.usdc --target shapes -o fitted.usdc
+  facepipe skin head.usdc --learn-from people.fpdb --count 60 -o people_bones.usda
 """
 
 from __future__ import annotations
@@ -44,6 +50,7 @@ if TYPE_CHECKING:
 _WAYS = {
     "sharpness": ("joints", "--joints"),
     "smoothing": ("source", "--from"),
+    "count": ("learn_from", "--learn-from"),
     "iterations": ("optimise", "--optimise"),
     "evenness": ("optimise", "--optimise"),
 }
@@ -56,6 +63,12 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
 
     face: Path = source("face stage without joints, or with the same ones")
     joints: Path | None = source("where joints are", default=None, flag="--joints", metavar="JSON")
+    learn_from: tuple[Path, ...] = source(
+        "faces of the same topology to learn joints and weights from: one .fpdb, or stages",
+        default=(),
+        flag="--learn-from",
+        metavar="FACE",
+    )
     source: Path | None = source("a skinned face, of any topology", default=None, flag="--from", metavar="OTHER_FACE")
     optimise: bool = option(False, "refine the weights for the face's own blendshapes")
     picture: Path | None = beside("draw the weights on the face, a colour a joint", ".png", "draw")
@@ -69,21 +82,25 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
 
     def check(self) -> None:
         super().check()
-        if (self.joints is None) == (self.source is None):
-            raise InputError("skin", "joints and a source face, or neither, expected one of them (--joints, --from)")
+        if (self.joints is not None) + (self.source is not None) + bool(self.learn_from) != 1:
+            raise InputError("skin", "expected one of --joints, --from and --learn-from")
+        if self.optimise and self.learn_from:
+            raise InputError("--optimise", "given with --learn-from, expected only one of them")
 
     def author(self, face: Face, job: Job) -> SkinReport:
         from facepipe.importers import read_face
+        from facepipe.verbs.skin.from_examples import read_examples
         from facepipe.verbs.skin.from_joints import read_joints
         from facepipe.verbs.skin.skin_face import SkinFace
 
         skin = SkinFace(
             joints=None if self.joints is None else read_joints(self.joints),
             source=None if self.source is None else read_face(self.source),
+            examples=read_examples(self.learn_from) if self.learn_from else None,
             optimise=self.optimise,
             options=self,
         )
-        with job.watch("optimise", self.iterations if self.optimise else 0) as bar:
+        with job.watch("optimise" if self.optimise else "learn", skin.rounds) as bar:
             return skin(face, bar.update, recipe=job.recipe())
 
     def draw(self, face: Face, report: SkinReport, path: Path) -> None:
@@ -113,6 +130,13 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
             misses = f"RMS {fit.rms_before_mm:.3f} -> {fit.rms_after_mm:.3f} mm, max {fit.max_before_mm:.1f} -> "
             lines.append(f"{fit.shapes} shapes by rigid joints alone: {misses}{fit.max_after_mm:.1f} mm")
             lines.append(f"bone coefficients of each shape: facepipe fit-bones {out} --target shapes -o FITTED")
+        if report.learnt is not None:
+            learnt = report.learnt
+            left = f"bones leave {learnt.mean_mm:.3f} mm, p95 {learnt.p95_mm:.2f}, max {learnt.max_mm:.1f}"
+            lines.append(f"learnt from {learnt.faces} faces, {learnt.apart_mm:.2f} mm from this one: {left}")
+            low, high = learnt.scale
+            needed = f"{learnt.translation_mm:.1f} mm, {learnt.rotation:.2f} radians, scales {low:.2f} to {high:.2f}"
+            lines.append(f"limits: a quarter beyond what they need, up to {needed}")
         lines += [f"{mesh}: held by {joint}" for mesh, joint in report.rigid.items()]
         if report.weightless:
             some = ", ".join(joint.rpartition("/")[2] for joint in report.weightless[:8])

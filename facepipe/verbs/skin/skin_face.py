@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from facepipe.parts import FaceParts, Recipe
 from facepipe.rig import build
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.skin.from_examples import LEARNING_ROUNDS, from_examples, learnt_paths
 from facepipe.verbs.skin.from_face import from_face
 from facepipe.verbs.skin.from_joints import JointSet, from_joints
 from facepipe.verbs.skin.options import SkinOptions
@@ -86,18 +87,27 @@ class SkinFace:
 
     :param joints: joint positions; or
     :param source: another face, whose skeleton and weights come over, whatever its topology; both faces need the
-        landmarks multipie68
+        landmarks multipie68; or
+    :param examples: name -> face of the same topology, as `read_examples` gives them: joints and weights are learnt
     :param optimise: refine the weights for the face's own blendshapes
     """
 
     joints: JointSet | None = None
     source: Face | None = None
+    examples: Mapping[str, FaceParts] | None = None
     optimise: bool = False
     options: SkinOptions = field(default_factory=SkinOptions)
 
     def __post_init__(self) -> None:
-        if (self.joints is None) == (self.source is None):
-            raise InputError("skin", "joints and a source face, or neither, expected one of them")
+        if sum(way is not None for way in (self.joints, self.source, self.examples)) != 1:
+            raise InputError("skin", "expected one of joints, a source face and examples")
+        if self.optimise and self.examples is not None:
+            raise InputError("skin", "optimised joints that are learnt from examples, expected only one of them")
+
+    @property
+    def rounds(self) -> int:
+        """How often `step` is called."""
+        return self.options.iterations if self.optimise else LEARNING_ROUNDS if self.examples else 0
 
     @one_thread()
     def __call__(
@@ -107,16 +117,20 @@ class SkinFace:
 
         Joints that the face has keep their order; its animations keep what they do relative to rest.
 
-        :param step: called after every round of `optimise`
+        :param step: called after every round of `optimise` or learning
         :param recipe: authored with the result; None leaves what the face has
         :raises InputError: other joints on the face, joints far from it, regions or meshes that it hasn't, no surface;
-            a source without skeleton, or landmarks missing; nothing to optimise for
+            a source without skeleton, or landmarks missing; nothing to optimise for or to learn
+        :raises TopologyError: an example of another topology
         """
         parts = face.parts()
         surface = surface_of(parts, face.where)
         if self.joints is not None:
             check_joints(surface, parts, tuple(joint.path for joint in self.joints.joints))
             made = from_joints(parts, surface, self.joints, self.options)
+        elif self.examples is not None:
+            check_joints(surface, parts, learnt_paths(self.options.count))
+            made = from_examples(parts, surface, self.examples, self.options, step)
         else:
             assert self.source is not None
             check_joints(surface, parts, self.source.skeleton.joints)
@@ -129,6 +143,7 @@ class SkinFace:
             # cut here alone: `optimise` cuts while it fits, to the joints that the shapes need
             weights = fewest(made.weights, self.options.influences)
         result = skinned(parts, surface, made.skeleton, weights)
+        result = replace(result, bone_limits=made.limits or parts.bone_limits)
         author_changes(face, replace(result, recipe=recipe or parts.recipe))
         report = _report(surface, made, weights)
         return replace(report, fit=fit, warnings=(*size_warnings(surface), *report.warnings))
@@ -153,5 +168,6 @@ def _report(surface: Surface, made: Skinning, weights: FloatArray) -> SkinReport
         largest_step=step,
         largest_step_per_mm=slope,
         transfer=made.transfer,
+        learnt=made.learnt,
         warnings=made.warnings,
     )
