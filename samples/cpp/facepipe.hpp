@@ -41,6 +41,11 @@ constexpr std::size_t kMostParts = 16;
 constexpr int kWhole = 64;                // shares of neighbours are so many-th
 constexpr double kLargestWeight = 100.0;  // standard deviations
 constexpr double kLargestMove = 1e4;      // millimetres
+constexpr double kLargestStep = 10.0;     // millimetres, of identity joints
+constexpr int kLargestSteps = 127;        // of each of their numbers
+constexpr double kLever = 16.0;           // millimetres: a radian or a factor of theirs counts as that far
+constexpr float kFarthest = 1e5f;         // millimetres, of their places
+constexpr int kFull = 255;                // of a point's weights, in sum
 constexpr double kLargestGrowth = 3.0;    // logarithm of a scale
 constexpr double kRoundedTurn = 1.002;    // squares of a half turn in float16
 constexpr double kFinerSteps = 1.15;      // of each coarser level
@@ -68,6 +73,16 @@ struct Joint {
   std::vector<float> shares;
 };
 
+// Joints that are who somebody is: they change the mean face at rest, and pose nothing.
+struct IdentityJoints {
+  std::size_t first = 0, width = 0;   // point that has some, and how many each has
+  std::vector<double> places;         // x y z of each joint, millimetres
+  std::vector<std::uint8_t> joints;   // width for each point
+  std::vector<std::uint8_t> weights;  // of them, 255ths
+
+  std::size_t count() const { return places.size() / 3; }
+};
+
 struct Basis {
   std::string name;
   Digest digest{};
@@ -80,6 +95,7 @@ struct Basis {
   std::vector<std::int16_t> modes;  // steps: mode after mode all x, all y, all z
   std::vector<Part> parts;
   std::vector<Joint> joints;
+  IdentityJoints identity;
 
   std::size_t points() const { return mean.size() / 3; }
 };
@@ -94,6 +110,8 @@ struct Person {
   std::vector<Placement> whole;  // none or one
   std::vector<Placement> parts;  // none or one for each of the basis's
   Bytes points;                  // offsets by levels
+  std::vector<int> joints;       // nine numbers of each of the first identity joints, in steps
+  double joint_step = 0;         // millimetres
   Bytes coefficients;            // bone coefficients on top, for read_poses
   std::vector<int> skipped;      // kinds of sections that are there and were left out
 };
@@ -412,7 +430,7 @@ class BasisReader {
  public:
   BasisReader(const Bytes& body, std::string where) : where_(std::move(where)) {
     for (const Section& one : sections(body.data(), body.size(), where_)) {
-      if (one.kind <= 7)
+      if (one.kind <= 8)
         known_[one.kind] = one;
       else if (one.required)
         throw Error(where_, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
@@ -428,6 +446,7 @@ class BasisReader {
     if (known_[5].data) read_modes();
     if (known_[6].data) read_parts();
     if (known_[7].data) read_joints();
+    if (known_[8].data) read_identity_joints();
     return std::move(made_);
   }
 
@@ -607,8 +626,34 @@ class BasisReader {
     }
   }
 
+  void read_identity_joints() {
+    Reader reader = open(8);
+    IdentityJoints& own = made_.identity;
+    const std::size_t joints = reader.byte(), width = own.width = reader.byte();
+    const std::uint64_t first = own.first = reader.four(), count = reader.four();
+    if (!joints || !width || !count || first + count > points_) reader.wrong("joints of points that are not there");
+    for (std::size_t i = 0; i < 3 * joints; ++i) {
+      const float place = float32(reader.take(4));
+      if (!(std::abs(place) <= kFarthest)) reader.wrong("places above 100,000 mm, expected smaller ones");
+      own.places.push_back(place);
+    }
+    const std::uint8_t* indices = reader.take(count, width);
+    const std::uint8_t* weights = reader.take(count, width);
+    reader.end();
+    own.joints.resize(count * width);
+    own.weights.resize(count * width);
+    for (std::size_t i = 0; i < count; ++i) {
+      int sum = 0;
+      for (std::size_t k = 0; k < width; ++k) {
+        if ((own.joints[i * width + k] = indices[k * count + i]) >= joints) reader.wrong("joints that are not there");
+        sum += own.weights[i * width + k] = weights[k * count + i];
+      }
+      if (sum != kFull) reader.wrong("weights of a point whose sum is not 255");
+    }
+  }
+
   std::string where_;
-  Section known_[8] = {};
+  Section known_[9] = {};
   std::uint32_t points_ = 0;
   Basis made_;
 };
@@ -657,6 +702,13 @@ class BitReader {
     while (number(1))
       if (++length > 15) throw Error(where_, "a number of more than 15 bits, expected small ones");
     return (1 << length) - 1 + number(length);
+  }
+
+  // A number of 1 or more in six contexts, each a stride from the one before.
+  int size(std::size_t context, std::size_t stride) {
+    int size = 1;
+    while (size < 14 && bit(context + static_cast<std::size_t>(std::min(size, 6) - 1) * stride)) ++size;
+    return size == 14 ? size + growing() : size;
   }
 
  private:
@@ -732,9 +784,7 @@ class Offsets {
         if ((axis < 2 || before) && !bits_.bit(5 + (2 * axis + before) * 4 + around)) continue;
         before = 1;
         const bool negative = bits_.number(1);
-        int count = 1;
-        while (count < 14 && bits_.bit(29 + static_cast<std::size_t>(std::min(count, 6) - 1) * 4 + around)) ++count;
-        if (count == 14) count += bits_.growing();
+        const int count = bits_.size(29 + around, 4);
         const std::size_t place = 3 * std::size_t{level.rows[i]} + axis;
         steps_[place] = count;
         got_[place] += (negative ? -count : count) * size;
@@ -761,29 +811,59 @@ class Offsets {
   std::vector<double> got_;  // millimetres
 };
 
+// Three rows of four, for column vectors.
+struct Matrix : std::array<double, 12> {};
+
+inline Matrix moved(const double* to) { return {1, 0, 0, to[0], 0, 1, 0, to[1], 0, 0, 1, to[2]}; }
+
+inline Matrix operator*(const Matrix& a, const Matrix& b) {
+  Matrix c{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j < 4; ++j)
+      c[4 * i + j] = a[4 * i] * b[j] + a[4 * i + 1] * b[4 + j] + a[4 * i + 2] * b[8 + j];
+    c[4 * i + 3] += a[4 * i + 3];
+  }
+  return c;
+}
+
+inline Matrix turned(double x, double y, double z, double w) {
+  return {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),     0,
+          2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),     0,
+          2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y), 0};
+}
+
+// M = T Rz Rx Ry S of nine coefficients.
+inline Matrix posed(const double* c) {
+  const auto about = [](int axis, double angle) {
+    double q[3] = {};
+    q[axis] = std::sin(angle / 2);
+    return turned(q[0], q[1], q[2], std::cos(angle / 2));
+  };
+  return moved(c) * about(2, c[5]) * about(0, c[3]) * about(1, c[4]) *
+         Matrix{c[6], 0, 0, 0, 0, c[7], 0, 0, 0, 0, c[8], 0};
+}
+
 // Points turned and scaled about a point, then moved.
 class Similarity {
  public:
   Similarity(const Placement& placement, const double* about) {
     const double* t = placement.turn;
-    double x = t[0], y = t[1], z = t[2], w = std::sqrt(std::max(1 - (x * x + y * y + z * z), 0.0));
+    const double x = t[0], y = t[1], z = t[2], w = std::sqrt(std::max(1 - (x * x + y * y + z * z), 0.0));
     const double length = std::sqrt(x * x + y * y + z * z + w * w), scale = std::exp(placement.growth);
-    x /= length, y /= length, z /= length, w /= length;
-    const double turn[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),
-                            2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-                            2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y)};
-    for (int i = 0; i < 9; ++i) matrix_[i] = scale * turn[i];
-    for (int i = 0; i < 3; ++i) about_[i] = about[i], move_[i] = about[i] + placement.move[i];
+    matrix_ = turned(x / length, y / length, z / length, w / length);
+    for (double& number : matrix_) number *= scale;
+    for (int i = 0; i < 3; ++i) about_[i] = about[i], matrix_[4 * i + 3] = about[i] + placement.move[i];
   }
 
   void apply(const double* from, double* to) const {
     const double off[3] = {from[0] - about_[0], from[1] - about_[1], from[2] - about_[2]};
     for (int i = 0; i < 3; ++i)
-      to[i] = matrix_[3 * i] * off[0] + matrix_[3 * i + 1] * off[1] + matrix_[3 * i + 2] * off[2] + move_[i];
+      to[i] = matrix_[4 * i] * off[0] + matrix_[4 * i + 1] * off[1] + matrix_[4 * i + 2] * off[2] + matrix_[4 * i + 3];
   }
 
  private:
-  double matrix_[9], about_[3], move_[3];
+  Matrix matrix_;
+  double about_[3];
 };
 
 inline std::vector<Placement> placements(const Section& section, bool half, bool turned, std::size_t most,
@@ -809,6 +889,51 @@ inline std::vector<Placement> placements(const Section& section, bool half, bool
       throw Error(where, "expected a move, part of a quaternion, a scale");
   }
   return found;
+}
+
+inline void read_identity(const Section& section, Person& person, const std::string& where) {
+  Reader reader(section.data, section.size, where);
+  person.joint_step = float16(reader.take(2));
+  const std::size_t count = reader.byte();
+  if (!(person.joint_step > 0 && person.joint_step <= kLargestStep) || !count)
+    reader.wrong("expected joints in steps of more than 0 and at most 10 mm");
+  BitReader bits(section.data + 3, section.size - 3, 3 * 7, where);
+  person.joints.resize(9 * count);
+  for (std::size_t i = 0; i < person.joints.size(); ++i) {
+    const std::size_t context = i % 9 / 3 * 7;
+    if (!bits.bit(context)) continue;
+    const bool negative = bits.number(1);
+    const int size = bits.size(context + 1, 1);
+    if (size > kLargestSteps) reader.wrong("more than 127 steps, expected fewer");
+    person.joints[i] = negative ? -size : size;
+  }
+}
+
+// Add what a person's identity joints make of the mean face.
+inline void add_joints(const Basis& basis, const Person& person, std::vector<double>& points) {
+  const IdentityJoints& own = basis.identity;
+  std::vector<Matrix> ways(own.count());  // M - 1 about each joint, a weight's 255th of it; of zeros: at rest
+  for (std::size_t j = 0; j < person.joints.size() / 9; ++j) {
+    double numbers[9];
+    for (std::size_t k = 0; k < 9; ++k)
+      numbers[k] = (k > 5 ? 1 : 0) + person.joint_step * person.joints[9 * j + k] / (k < 3 ? 1 : kLever);
+    Matrix& way = ways[j] = posed(numbers);
+    for (std::size_t i = 0; i < 12; i += 4) {
+      way[i + i / 4] -= 1;
+      for (std::size_t k = 0; k < 3; ++k) way[i + 3] -= way[i + k] * own.places[3 * j + k];
+    }
+    for (double& number : way) number /= kFull;
+  }
+  for (std::size_t at = 0, place = 3 * own.first; at < own.joints.size(); place += 3) {
+    Matrix sum{};
+    for (const std::size_t end = at + own.width; at < end; ++at) {
+      const Matrix& way = ways[own.joints[at]];
+      for (std::size_t i = 0; i < 12; ++i) sum[i] += own.weights[at] * way[i];
+    }
+    const double* from = &basis.mean[place];
+    for (std::size_t i = 0; i < 3; ++i)
+      points[place + i] += sum[4 * i] * from[0] + sum[4 * i + 1] * from[1] + sum[4 * i + 2] * from[2] + sum[4 * i + 3];
+  }
 }
 
 }  // namespace detail
@@ -867,6 +992,8 @@ inline Person read_person(const Bytes& file, const std::string& where) {
       person.parts = placements(one, true, one.kind == 5, kMostParts, where + " -> parts");
     } else if (one.kind == 6) {
       person.points.assign(one.data, one.data + one.size);
+    } else if (one.kind == 7) {
+      read_identity(one, person, where + " -> joints");
     } else if (one.required) {
       throw Error(where, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
     } else {
@@ -918,7 +1045,9 @@ inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::stri
   if (person.modes.size() > basis.mode_count) throw Error(where, "more modes than its basis has");
   if (!person.parts.empty() && person.parts.size() != basis.parts.size())
     throw Error(where, "not the parts of its basis");
+  if (person.joints.size() > 9 * basis.identity.count()) throw Error(where, "more joints than its basis has");
   std::vector<double> points = shaped(basis, person.modes), mean = basis.mean;
+  if (!person.joints.empty()) detail::add_joints(basis, person, points);
   const double origin[3] = {};
   for (const Placement& placement : person.whole) {
     const detail::Similarity way(placement, origin);

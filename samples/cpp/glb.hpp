@@ -285,38 +285,6 @@ class Numbers {
   double left_;  // numbers
 };
 
-// Three rows of four, for column vectors.
-struct Matrix : std::array<double, 12> {};
-
-inline Matrix moved(const double* to) { return {1, 0, 0, to[0], 0, 1, 0, to[1], 0, 0, 1, to[2]}; }
-
-inline Matrix operator*(const Matrix& a, const Matrix& b) {
-  Matrix c{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    for (std::size_t j = 0; j < 4; ++j)
-      c[4 * i + j] = a[4 * i] * b[j] + a[4 * i + 1] * b[4 + j] + a[4 * i + 2] * b[8 + j];
-    c[4 * i + 3] += a[4 * i + 3];
-  }
-  return c;
-}
-
-inline Matrix turned(double x, double y, double z, double w) {
-  return {1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),     0,
-          2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),     0,
-          2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y), 0};
-}
-
-// M = T Rz Rx Ry S of nine coefficients, whose translation is in metres.
-inline Matrix posed(const double* c) {
-  const auto about = [](int axis, double angle) {
-    double q[3] = {};
-    q[axis] = std::sin(angle / 2);
-    return turned(q[0], q[1], q[2], std::cos(angle / 2));
-  };
-  return moved(c) * about(2, c[5]) * about(0, c[3]) * about(1, c[4]) *
-         Matrix{c[6], 0, 0, 0, 0, c[7], 0, 0, 0, 0, c[8], 0};
-}
-
 }  // namespace detail
 
 // Vertices of one material of a mesh.

@@ -54,6 +54,17 @@ namespace Facepipe
         public float[] Shares;
     }
 
+    /// <summary>Joints that are who somebody is: they change the mean face at rest, and pose nothing.</summary>
+    public sealed class IdentityJoints
+    {
+        public int First, Width; // point that has some, and how many each has
+        public float[] Places = new float[0]; // x y z of each joint, millimetres
+        public byte[] Joints = new byte[0]; // Width for each point
+        public byte[] Weights = new byte[0]; // of them, 255ths
+
+        public int Count { get { return Places.Length / 3; } }
+    }
+
     /// <summary>What a person is, in millimetres.</summary>
     public sealed class Rebuilt
     {
@@ -72,6 +83,8 @@ namespace Facepipe
     {
         public const int Body = 1 << 28, Points = 1 << 20, Grid = 1000000; // bytes, points, places in a millimetre
         public const int Sections = 64, Modes = 4096, Parts = 16, Whole = 64;
+        public const int Steps = 127, Full = 255; // of a number of identity joints, and of a point's weights in sum
+        public const double Step = 10, Farthest = 1e5; // millimetres, of identity joints
         public const double Weight = 100, Move = 1e4, Growth = 3, Turn = 1.002; // half turns round in float16
     }
 
@@ -421,6 +434,7 @@ namespace Facepipe
     public sealed class Basis
     {
         const int Block = 1024; // sums that stay in the nearest cache while modes pass
+        const double Lever = 16; // millimetres: a radian or a factor of an identity joint counts as that far
 
         public string Name;
         public ulong Digest;
@@ -433,6 +447,7 @@ namespace Facepipe
         public short[] Modes = new short[0]; // steps: mode after mode all x, all y, all z
         public readonly List<Part> Parts = new List<Part>();
         public readonly List<Joint> Joints = new List<Joint>();
+        public IdentityJoints IdentityJoints = new IdentityJoints();
 
         public int Points { get { return Mean.Length / 3; } }
 
@@ -509,7 +524,10 @@ namespace Facepipe
             if (person.Modes.Length > ModeCount) throw new FacepipeException(where, "more modes than its basis has");
             if (person.Parts.Length > 0 && person.Parts.Length != Parts.Count)
                 throw new FacepipeException(where, "not the parts of its basis");
+            if (person.Joints.Length > 9 * IdentityJoints.Count)
+                throw new FacepipeException(where, "more joints than its basis has");
             double[] points = Shaped(person.Modes), mean = (double[])Mean.Clone();
+            if (person.Joints.Length > 0) AddJoints(person, points);
             if (person.Whole != null)
             {
                 var way = new Similarity(person.Whole, new double[3]);
@@ -534,6 +552,58 @@ namespace Facepipe
             return new Rebuilt { Points = points, Joints = JointPlaces(points) };
         }
 
+        // Add what a person's identity joints make of the mean face.
+        void AddJoints(Person person, double[] points)
+        {
+            IdentityJoints own = IdentityJoints;
+            var ways = new double[12 * own.Count]; // three rows of four of each; of zeros: at rest
+            for (int j = 0; j < person.Joints.Length / 9; j++) SetWay(person, j, ways);
+            byte[] joints = own.Joints, weights = own.Weights;
+            for (int at = 0, place = 3 * own.First; at < joints.Length; place += 3)
+            {
+                double x = Mean[place], y = Mean[place + 1], z = Mean[place + 2], dx = 0, dy = 0, dz = 0;
+                for (int end = at + own.Width; at < end; at++)
+                {
+                    int way = 12 * joints[at];
+                    double weight = weights[at];
+                    dx += weight * (ways[way] * x + ways[way + 1] * y + ways[way + 2] * z + ways[way + 3]);
+                    dy += weight * (ways[way + 4] * x + ways[way + 5] * y + ways[way + 6] * z + ways[way + 7]);
+                    dz += weight * (ways[way + 8] * x + ways[way + 9] * y + ways[way + 10] * z + ways[way + 11]);
+                }
+                points[place] += dx;
+                points[place + 1] += dy;
+                points[place + 2] += dz;
+            }
+        }
+
+        // M - 1 about a joint, a weight's 255th of it; M = T Rz Rx Ry S of its nine numbers.
+        void SetWay(Person person, int joint, double[] ways)
+        {
+            var numbers = new double[9];
+            for (int k = 0; k < 9; k++)
+                numbers[k] = (k > 5 ? 1 : 0) + person.JointStep * person.Joints[9 * joint + k] / (k < 3 ? 1 : Lever);
+            double sx = Math.Sin(numbers[3]), sy = Math.Sin(numbers[4]), sz = Math.Sin(numbers[5]);
+            double cx = Math.Cos(numbers[3]), cy = Math.Cos(numbers[4]), cz = Math.Cos(numbers[5]);
+            var turn = new[]
+            {
+                cz * cy - sz * sx * sy, -sz * cx, cz * sy + sz * sx * cy,
+                sz * cy + cz * sx * sy, cz * cx, sz * sy - cz * sx * cy,
+                -cx * sy, sx, cx * cy,
+            };
+            for (int row = 0; row < 3; row++)
+            {
+                int at = 12 * joint + 4 * row;
+                double left = numbers[row];
+                for (int k = 0; k < 3; k++)
+                {
+                    double value = turn[3 * row + k] * numbers[6 + k] - (k == row ? 1 : 0);
+                    ways[at + k] = value / Limits.Full;
+                    left -= value * IdentityJoints.Places[3 * joint + k];
+                }
+                ways[at + 3] = left / Limits.Full;
+            }
+        }
+
         static double[] Middle(int[] runs, double[] points)
         {
             var sum = new double[3];
@@ -554,7 +624,7 @@ namespace Facepipe
     {
         readonly byte[] body;
         readonly string where;
-        readonly Section[] known = new Section[8];
+        readonly Section[] known = new Section[9];
         readonly Basis made = new Basis();
         int points;
 
@@ -581,6 +651,7 @@ namespace Facepipe
             if (known[5].Kind > 0) ReadModes();
             if (known[6].Kind > 0) ReadParts();
             if (known[7].Kind > 0) ReadJoints();
+            if (known[8].Kind > 0) ReadIdentityJoints();
             return made;
         }
 
@@ -791,6 +862,38 @@ namespace Facepipe
                 made.Joints.Add(joint);
             }
         }
+
+        void ReadIdentityJoints()
+        {
+            Reader reader = Open(8);
+            int joints = reader.Byte(), width = reader.Byte();
+            uint first = reader.Four(), count = reader.Four();
+            if (joints == 0 || width == 0 || count == 0 || (long)first + count > points)
+                throw reader.Wrong("joints of points that are not there");
+            var own = new IdentityJoints { First = (int)first, Width = width, Places = new float[3 * joints] };
+            for (int i = 0; i < own.Places.Length; i++)
+            {
+                own.Places[i] = reader.Single();
+                if (!(Math.Abs(own.Places[i]) <= Limits.Farthest))
+                    throw reader.Wrong("places above 100,000 mm, expected smaller ones");
+            }
+            int size = (int)count, indices = reader.Take((long)size * width), weights = reader.Take((long)size * width);
+            reader.End();
+            own.Joints = new byte[size * width];
+            own.Weights = new byte[size * width];
+            for (int i = 0, at = 0; i < size; i++)
+            {
+                int sum = 0;
+                for (int k = 0; k < width; k++, at++)
+                {
+                    own.Joints[at] = body[indices + k * size + i];
+                    if (own.Joints[at] >= joints) throw reader.Wrong("joints that are not there");
+                    sum += own.Weights[at] = body[weights + k * size + i];
+                }
+                if (sum != Limits.Full) throw reader.Wrong("weights of a point whose sum is not 255");
+            }
+            made.IdentityJoints = own;
+        }
     }
 
     /// <summary>Who somebody is.</summary>
@@ -801,6 +904,8 @@ namespace Facepipe
         public Placement Whole; // or none
         public Placement[] Parts = new Placement[0]; // none, or one for each of the basis's
         public byte[] Points = new byte[0]; // offsets by levels
+        public int[] Joints = new int[0]; // nine numbers of each of the first identity joints, in steps
+        public double JointStep; // millimetres
         public readonly List<int> Skipped = new List<int>(); // kinds of sections that are there and were left out
 
         /// <summary>A person, of the bytes of a .fpb of version 2.</summary>
@@ -824,7 +929,7 @@ namespace Facepipe
                     person.Basis = BitConverter.ToUInt64(file, one.Start);
                     named = true;
                 }
-                else if (one.Kind <= 6)
+                else if (one.Kind <= 7)
                     person.Take(file, one, where);
                 else if (one.Required)
                     throw new FacepipeException(where, "section of kind " + one.Kind + ", expected a known one");
@@ -856,11 +961,33 @@ namespace Facepipe
                 Points = new byte[one.Size];
                 Array.Copy(file, one.Start, Points, 0, one.Size);
             }
+            else if (one.Kind == 7)
+                TakeJoints(file, one, where + " -> joints");
             else
             {
                 if (Parts.Length > 0)
                     throw new FacepipeException(where, "parts with turns and without, expected one of them");
                 Parts = Placements(file, one, one.Kind == 5 ? 7 : 4, true, Limits.Parts, where + " -> parts");
+            }
+        }
+
+        void TakeJoints(byte[] file, Section one, string where)
+        {
+            var reader = new Reader(file, one.Start, one.Size, where);
+            JointStep = Numbers.Half(file, reader.Take(2));
+            int count = reader.Byte();
+            if (!(JointStep > 0 && JointStep <= Limits.Step) || count == 0)
+                throw reader.Wrong("expected joints in steps of more than 0 and at most 10 mm");
+            var bits = new BitReader(file, one.Start + 3, one.Start + one.Size, 3 * 7, where);
+            Joints = new int[9 * count];
+            for (int i = 0; i < Joints.Length; i++)
+            {
+                int context = i % 9 / 3 * 7;
+                if (!bits.Bit(context)) continue;
+                bool negative = bits.Number(1) == 1;
+                int size = bits.Size(context + 1, 1);
+                if (size > Limits.Steps) throw reader.Wrong("more than 127 steps, expected fewer");
+                Joints[i] = negative ? -size : size;
             }
         }
 
@@ -902,13 +1029,15 @@ namespace Facepipe
         readonly byte[] data;
         readonly string where;
         readonly int[] likely, shifts;
+        readonly int end;
         int place;
         uint code, span = uint.MaxValue;
 
-        public BitReader(byte[] data, int place, int contexts, string where)
+        public BitReader(byte[] data, int place, int end, int contexts, string where)
         {
             this.data = data;
             this.place = place;
+            this.end = end;
             this.where = where;
             likely = new int[contexts];
             shifts = new int[contexts];
@@ -969,11 +1098,19 @@ namespace Facepipe
             return (1 << length) - 1 + Number(length);
         }
 
+        // A number of 1 or more in six contexts, each a stride from the one before.
+        public int Size(int context, int stride)
+        {
+            int size = 1;
+            while (size < 14 && Bit(context + (Math.Min(size, 6) - 1) * stride)) size++;
+            return size == 14 ? size + Growing() : size;
+        }
+
         uint Next()
         {
-            if (place >= data.Length + 4) throw new FacepipeException(where, "ends in the middle, expected more bytes");
+            if (place >= end + 4) throw new FacepipeException(where, "ends in the middle, expected more bytes");
             int at = place++;
-            return at < data.Length ? data[at] : 0u; // four zeros at the end may be left out
+            return at < end ? data[at] : 0u; // four zeros at the end may be left out
         }
 
         void Fill()
@@ -1004,7 +1141,7 @@ namespace Facepipe
             if (!(step > 0 && step <= Limits.Move))
                 throw new FacepipeException(where, "expected steps of more than 0 and at most 10,000 mm");
             if (sent > basis.Levels.Length) throw new FacepipeException(where, "more levels than the basis has");
-            bits = new BitReader(data, 5, 1 + 4 + 24 + 24, where);
+            bits = new BitReader(data, 5, data.Length, 1 + 4 + 24 + 24, where);
             steps = new int[3 * basis.Points];
             got = new double[3 * basis.Points];
         }
@@ -1055,9 +1192,7 @@ namespace Facepipe
                     if ((axis < 2 || before > 0) && !bits.Bit(5 + (2 * axis + before) * 4 + around)) continue;
                     before = 1;
                     bool negative = bits.Number(1) == 1;
-                    int count = 1, at = 3 * level.Rows[i] + axis;
-                    while (count < 14 && bits.Bit(29 + (Math.Min(count, 6) - 1) * 4 + around)) count++;
-                    if (count == 14) count += bits.Growing();
+                    int count = bits.Size(29 + around, 4), at = 3 * level.Rows[i] + axis;
                     steps[at] = count;
                     got[at] += (negative ? -count : count) * size;
                 }

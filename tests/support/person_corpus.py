@@ -27,7 +27,9 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.point_levels import PointLevels
 from facepipe.payload.basis import (
     BasisContent,
+    IDENTITY_JOINTS,
     JointPlace,
+    JointWeights,
     MeshRun,
     RigidRows,
     basis_body,
@@ -36,8 +38,20 @@ from facepipe.payload.basis import (
     encode_basis,
 )
 from facepipe.payload.coefficients import PayloadContent, decode, encode, joints_hash, read_header
-from facepipe.payload.person import COEFFICIENTS, LOOK, PICTURES, PersonContent, decode_person, encode_person
-from facepipe.payload.sections import Section, pack, unpack
+from facepipe.payload.person import (
+    COEFFICIENTS,
+    JOINTS,
+    LARGEST_STEPS,
+    LOOK,
+    PICTURES,
+    POINTS,
+    PersonContent,
+    decode_person,
+    encode_person,
+)
+from facepipe.payload.sections import Section, pack, unpack, written_sections
+from facepipe.payload.small_numbers import encode_numbers
+from facepipe.rig.identity_joints import coefficients_of_steps
 from facepipe.verbs.person_basis import Basis, head_basis, template_basis
 from facepipe.verbs.whole_faces import Topology
 
@@ -47,6 +61,7 @@ _NEAR, _NEARLY = 1e-4, 1e-6  # millimetres, and of the size, that figures may di
 _BESIDE = (LOOK, PICTURES, COEFFICIENTS)  # kinds of sections that say nothing of the shape
 _HEAD = 20  # bytes of a basis before its body
 _HALVES = (0x7E00, 0xFE00, 0x7C00, 0xFC00, 0x7BFF, 0x5640, 0x5641, 0xD640, 0x3C00, 0x3C01, 0x4200, 0x4201, 0x8000, 1)
+_STEPS = (0.001, 0.125, 0.5, 10)  # millimetres, of identity joints
 _FLOATS = (np.nan, np.inf, -np.inf, 1e4, 10001, 1, 1.0000001, 3, 3.0000002, 1e-45, 3e38, -0.0, 0.7071068)
 
 
@@ -56,6 +71,13 @@ def grid_basis(side: int = 12, modes: int = 3) -> BasisContent:
     rng = np.random.default_rng(0)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
     points = np.vstack([np.stack([x, y, np.sin(x)], axis=1) * 5.0, rng.normal(size=(5, 3)) * 20])
+    weights = rng.multinomial(255, [0.6, 0.3, 0.1], side * side)
+    joints = JointWeights(  # of a point in no level, too
+        first=1,
+        places=(20 * rng.normal(size=(5, 3))).astype(np.float32),
+        indices=rng.integers(0, 5, (side * side, 3)).astype(np.uint8),
+        weights=weights.astype(np.uint8),
+    )
     corners = np.array([i for i in range(side * side - side) if i % side < side - 1])
     triangles = np.vstack([np.stack([corners, corners + 1, corners + side], axis=1)])
     levels = PointLevels.of(points, triangles, np.arange(side * side))
@@ -71,6 +93,7 @@ def grid_basis(side: int = 12, modes: int = 3) -> BasisContent:
         modes=rng.integers(-30_000, 30_000, (modes, 3, len(points))).astype(np.int16),
         parts=(RigidRows(np.arange(144, 149), with_modes=False), RigidRows(np.array([0, 1, 7]), with_modes=True)),
         joints=(JointPlace("root/jaw", np.array([3, 9]), np.array([0.25, 0.75])),),
+        identity_joints=joints,
     )
 
 
@@ -81,14 +104,13 @@ def basis(name: str) -> Basis:
         return head_basis()
     if name == "studio":
         return template_basis(made(0), "studio")
-    content = grid_basis()
+    return _of(grid_basis())
+
+
+def _of(content: BasisContent) -> Basis:
     topology = Topology(names=(), points=(), counts=(), indices=())
-    return Basis(
-        topology=topology,
-        content=content,
-        fitted=np.arange(len(content.places)),
-        digest=digest_of(basis_body(content)),
-    )
+    rows = np.arange(len(content.places))
+    return Basis(topology=topology, content=content, fitted=rows, digest=digest_of(basis_body(content)))
 
 
 @cache
@@ -151,12 +173,18 @@ def person_verdict(basis: Basis, data: bytes) -> str:
 
 
 def basis_verdict(data: bytes) -> str:
-    """The line of a basis: of the points that all its modes give. Digests are the names that others give them."""
+    """The line of a basis: of the points that all its modes give, and a step of 1 mm of all numbers of its joints.
+
+    Digests are the names that others give them.
+    """
     try:
         content, _ = decode_basis(data, "case", trusted=True)
     except InputError:
         return "no"
-    return _line(content.mean + content.step * content.modes.sum(axis=0, dtype=np.int64).T, content)
+    points = content.mean + content.step * content.modes.sum(axis=0, dtype=np.int64).T
+    if joints := _of(content).joints:
+        points[joints.rows] += joints.offsets(coefficients_of_steps(np.ones((len(joints.places), 9)), 1.0))
+    return _line(points, content)
 
 
 def poses_verdict(data: bytes) -> str:
@@ -215,12 +243,21 @@ def sound_person(basis: Basis, rng: Rng) -> bytes:
         coarse = rng.choice([None, rng.randint(0, len(basis.levels.levels))])
         coarse = rng.randint(0, 3) if count > 10_000 else coarse  # all of a head are 20 KB, which take a second
         content = replace(content, points=basis.levels.encode(offsets, rng.choice([0.01, 0.2, 3.0]), coarse)[0])
+    if rng.random() < 0.5:
+        content = replace(content, joints=_joints(rng, draw, basis), step=float(np.float16(rng.choice(_STEPS))))
     data = encode_person(content)
     if rng.random() < 0.1:
         data = pack(
             [*unpack(data, "person"), Section(rng.choice([*_BESIDE, 60, 127]), draw.bytes(rng.randint(0, 9)), False)]
         )
     return data
+
+
+def _joints(rng: Rng, draw: np.random.Generator, basis: Basis) -> np.ndarray:
+    """Numbers of as many joints as there are, or fewer, of any size."""
+    most = 0 if basis.joints is None else len(basis.joints.places)
+    numbers = draw.normal(0, rng.choice([0.5, 3, 60]), (rng.choice([most, rng.randint(0, most)]), 9))
+    return np.rint(numbers).astype(np.int64).clip(-LARGEST_STEPS, LARGEST_STEPS)
 
 
 def _placements(draw: np.random.Generator, count: int, reach: float, half: bool) -> np.ndarray:
@@ -235,6 +272,8 @@ def sound_basis(rng: Rng) -> bytes:
     content = rng.choice([grid_basis(), basis("studio").content, grid_basis(3, 1)])
     if rng.random() < 0.5:
         content = replace(content, parts=(), joints=content.joints[: rng.randint(0, 1)])
+    if rng.random() < 0.3:
+        content = replace(content, identity_joints=None)
     return sealed_basis(rng, basis_body(content))
 
 
@@ -334,11 +373,31 @@ def _numbers(rng: Rng, data: bytes) -> bytes:
         own, width = bytearray(rows[i].data), 4 if rows[i].kind in (3, 6) else 2
         if len(own) < width:
             continue
-        place = 0 if rows[i].kind == 6 else width * rng.randrange(len(own) // width)
+        place = 0 if rows[i].kind in (POINTS, JOINTS) else width * rng.randrange(len(own) // width)
         number = struct.pack("<f", rng.choice(_FLOATS)) if width == 4 else struct.pack("<H", rng.choice(_HALVES))
         own[place : place + width] = number
         rows[i] = rows[i]._replace(data=bytes(own))
     return pack(rows)
+
+
+def _joints_of_person(rng: Rng, data: bytes) -> bytes:
+    """Identity joints of other counts and steps, with numbers beyond limits, and cut."""
+    rows = [row for row in unpack(data, "person") if row.kind != JOINTS]
+    numbers = np.array([[rng.choice((0, 0, 1, -1, 9, -20, 127)) for _ in range(9)] for _ in range(rng.randint(1, 9))])
+    count, bits = len(numbers), encode_numbers(numbers)
+    what = rng.randrange(4)
+    if what == 0:
+        count = rng.randrange(256)
+    elif what == 1:
+        place = rng.randrange(numbers.size)
+        numbers.flat[place] = rng.choice((-1, 1)) * rng.choice((126, 127, 128, 141, 142, 32780, 32781, 70_000))
+        bits = encode_numbers(numbers)
+    elif what == 2:
+        bits = _scattered(rng, bits, 0)
+    step = rng.choice(_HALVES) if what == 3 else 0x3000
+    own = struct.pack("<HB", step, count) + bits
+    own = _cut(rng, own) if rng.random() < 0.2 else own
+    return pack(sorted([*rows, Section(JOINTS, own, rng.random() < 0.9)]))
 
 
 def _unsealed_or_sealed(rng: Rng, data: bytes) -> bytes:
@@ -358,6 +417,7 @@ _PERSON_DAMAGES: tuple[_Damage, ...] = (
     _unsealed,
     _sections,
     _numbers,
+    _joints_of_person,
 )
 
 
@@ -379,6 +439,25 @@ def _rows_of_basis(rng: Rng, data: bytes) -> bytes:
     """Sections gone, twice, of other kinds, cut."""
     changed = _sections(rng, _sealed(b"FPBC\2\0\0\0" + zlib.decompress(data[_HEAD:])))
     return sealed_basis(rng, changed[8:-4])
+
+
+def _joints_of_basis(rng: Rng, data: bytes) -> bytes:
+    """Counts, places, joints and weights of identity joints."""
+    rows = _sections_of_basis(zlib.decompress(data[_HEAD:]))
+    if rows[-1].kind != IDENTITY_JOINTS:
+        return data
+    own = bytearray(rows[-1].data)
+    what, joints = rng.randrange(4), own[0]
+    if what == 0:
+        place = rng.choice([0, 1, 2, 6, 9])
+        own[place] = rng.choice([own[place] + 1 & 255, own[place] - 1 & 255, 0, 255])
+    elif what == 1:
+        place = 10 + 4 * rng.randrange(3 * joints)
+        own[place : place + 4] = struct.pack("<f", rng.choice((*_FLOATS, 1e5, -1e5, 100_001)))
+    else:
+        place = rng.randrange(10 + 12 * joints, len(own))
+        own[place] = rng.choice([own[place] + 1 & 255, 0, joints - 1, joints])
+    return sealed_basis(rng, written_sections([*rows[:-1], rows[-1]._replace(data=bytes(own))]))
 
 
 def _cut_of_basis(rng: Rng, data: bytes) -> bytes:
@@ -407,7 +486,7 @@ def _file_of_basis(rng: Rng, data: bytes) -> bytes:
 
 
 _BASIS_DAMAGES: tuple[_Damage, ...] = (
-    *(_body_of_basis, _body_of_basis, _rows_of_basis, _cut_of_basis, _stream),
+    *(_body_of_basis, _body_of_basis, _rows_of_basis, _cut_of_basis, _joints_of_basis, _stream),
     *(_reached, _reached, _file_of_basis),
 )
 

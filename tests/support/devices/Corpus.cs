@@ -43,8 +43,10 @@ static class Corpus
     {
         var weights = new double[basis.ModeCount];
         for (int i = 0; i < weights.Length; i++) weights[i] = 1;
-        double[] points = basis.Shaped(weights);
-        return new Rebuilt { Points = points, Joints = basis.JointPlaces(points) };
+        var steps = new int[9 * basis.IdentityJoints.Count];
+        for (int i = 0; i < steps.Length; i++) steps[i] = 1;
+        var person = new Person { Basis = basis.Digest, Modes = weights, Joints = steps, JointStep = 1 };
+        return basis.Rebuild(person, "case");
     }
 
     static double Milliseconds() { return Process.GetCurrentProcess().TotalProcessorTime.TotalMilliseconds; }

@@ -1,7 +1,7 @@
 // What samples/cpp/facepipe.hpp makes of the cases of tests/support/person_corpus.py.
 //
 //   corpus persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
-//   corpus bases CASES           the same of bases, and of the points that all of their modes give
+//   corpus bases CASES           the same of bases: of all of their modes, and a step of 1 mm of all numbers of joints
 //   corpus poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   corpus points BASIS FPB OUT  points and joints as float64
 //   corpus time BASIS FPB        milliseconds of processor time: the basis, then a person
@@ -56,8 +56,12 @@ int main(int count, char** words) {
     for (const Bytes& one : cases(words[2]))
       line([&] {
         const Basis basis = read_basis(one, "case");
-        const std::vector<double> points = shaped(basis, std::vector<double>(basis.mode_count, 1.0));
-        return Rebuilt{points, joint_places(basis, points)};
+        Person person;
+        person.basis = basis.digest;
+        person.modes.assign(basis.mode_count, 1.0);
+        person.joints.assign(9 * basis.identity.count(), 1);
+        person.joint_step = 1;
+        return rebuild(basis, person, "case");
       });
     return 0;
   }

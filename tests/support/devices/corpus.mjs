@@ -1,7 +1,7 @@
 // What the runtime's person.js makes of the cases of tests/support/person_corpus.py: node corpus.mjs PERSON_JS ...
 //
 //   persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
-//   bases CASES           the same of bases, and of the points that all of their modes give
+//   bases CASES           the same of bases: of all of their modes, and a step of 1 mm of all numbers of joints
 //   poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   points BASIS FPB OUT  points and joints as float64
 //   time BASIS FPB        milliseconds of processor time: the basis, then a person, the first and in the middle of 21
@@ -18,7 +18,9 @@ if (what === "bases") {
   Object.defineProperty(globalThis, "crypto", { value: undefined });
   await judge(files[0], async (bytes) => {
     const basis = await readBasis(bytes, "case");
-    return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes: basis.modes.map(() => 1), placement: null, parts: [], points: [] }));
+    const joints = { step: 1, numbers: new Array(basis.identityJoints?.places.length * 3 || 0).fill(1) };
+    const modes = basis.modes.map(() => 1);
+    return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes, placement: null, parts: [], points: [], joints }));
   });
 } else if (what === "poses") {
   await judge(files[0], (bytes) => {
