@@ -2,6 +2,7 @@
 import type { Basis, RigidPart } from "./basis";
 import { Bytes, crc32, hex, readSections } from "./bytes";
 import { FaceError } from "./errors";
+import { addIdentityJoints, type JointSteps, readJointSteps } from "./identity_joints";
 import { addOffsets } from "./point_levels";
 
 export interface Person {
@@ -17,6 +18,8 @@ export interface Person {
   parts: number[][];
   /** section of offsets, by levels */
   points: Uint8Array;
+  /** of identity joints */
+  joints: JointSteps | null;
   /** section of pictures of materials */
   pictures: Uint8Array;
   /** bone coefficients on top, for `parsePayload` */
@@ -28,7 +31,7 @@ export interface Person {
 const MAGIC = 0x43425046; // FPBC
 const VERSION = 2;
 const HEADER = 8;
-const [BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS] = [1, 2, 3, 4, 5, 6];
+const [BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS] = [1, 2, 3, 4, 5, 6, 7];
 const [PICTURES, COEFFICIENTS] = [10, 11]; // which may be left out
 const DIGEST = 8; // bytes
 const MOST_MODES = 4096;
@@ -56,7 +59,7 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
   }
   if (view.getUint16(6, true)) throw new FaceError(where, `flags ${view.getUint16(6, true)}, expected none`);
   const sections = readSections(new Uint8Array(bytes, HEADER, end - HEADER), where);
-  const skipped = [...sections.values()].filter(({ kind }) => kind > POINTS);
+  const skipped = [...sections.values()].filter(({ kind }) => kind > JOINTS);
   for (const { kind, required } of skipped) {
     if (required) throw new FaceError(where, `section of kind ${kind}, which this version of facepipe does not know`);
   }
@@ -77,6 +80,7 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
     return Array.from({ length: count }, () => own.many(each, size, size === 4 ? own.float32 : own.float16));
   };
   const still = rows(MOVED_PARTS, 2, 4, MOST_PARTS, "parts").map(([x, y, z, scale]) => [x, y, z, 0, 0, 0, scale]);
+  const [joints, trail] = [sections.get(JOINTS)?.data, `${where} -> joints`];
   return {
     where,
     basis: hex(digest),
@@ -84,6 +88,7 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
     placement: checkedMoves(rows(PLACEMENT, 4, 7, 1, "placement"), where)[0] ?? null,
     parts: checkedMoves([...still, ...rows(TURNED_PARTS, 2, 7, MOST_PARTS, "parts")], where),
     points: sections.get(POINTS)?.data ?? new Uint8Array(0),
+    joints: joints ? readJointSteps(new Bytes(joints, trail), trail) : null,
     pictures: sections.get(PICTURES)?.data ?? new Uint8Array(0),
     coefficients: sections.has(COEFFICIENTS) ? Uint8Array.from(sections.get(COEFFICIENTS)!.data).buffer : null,
     skipped: skipped.map(({ kind }) => kind).filter((kind) => kind !== PICTURES && kind !== COEFFICIENTS),
@@ -92,10 +97,10 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
 
 /**
  * The points of a person on its basis: 3 numbers each, millimetres, Y up.
- * @throws FaceError a person of another basis, with more modes or other parts, or points that are not the basis's
+ * @throws FaceError a person of another basis, with more modes, more joints or other parts, or points that are not the basis's
  */
 export function rebuilt(basis: Basis, person: Person): Float64Array {
-  const { where, modes, placement, parts, points: offsets } = person;
+  const { where, modes, placement, parts, points: offsets, joints } = person;
   if (person.basis !== basis.digest) {
     throw new FaceError(where, `a person on another basis (${person.basis}), expected ${basis.digest} of ${basis.name}`);
   }
@@ -105,7 +110,11 @@ export function rebuilt(basis: Basis, person: Person): Float64Array {
   if (parts.length && parts.length !== basis.parts.length) {
     throw new FaceError(where, `${parts.length} parts, expected the ${basis.parts.length} of its basis or none`);
   }
+  const [own, count] = [basis.identityJoints, (joints?.numbers.length ?? 0) / 9];
+  const most = (own?.places.length ?? 0) / 3;
+  if (count > most) throw new FaceError(where, `${count} joints, expected at most the ${most} of its basis`);
   const [points, mean] = [interleaved(shaped(basis, modes), basis.count), interleaved(basis.mean, basis.count)];
+  if (own && joints) addIdentityJoints(own, joints, mean, points);
   const all: RigidPart["runs"] = [[0, basis.count]];
   if (placement) for (const one of [points, mean]) place(placement, one, one, all, [0, 0, 0]);
   parts.forEach((moved, i) => {

@@ -1,18 +1,16 @@
 /** Offsets of points by levels, each point's predicted from coarser ones: docs/files.md, "A person (.fpb)", Levels. */
 import type { Basis, Level } from "./basis";
 import { Bytes } from "./bytes";
-import { BitReader } from "./range_coder";
+import { BitReader, KINDS_OF_SIZES } from "./range_coder";
 
 const WHOLE = 64; // shares are so many-th
 const FINER = 1.15; // times finer steps at each coarser level
 const MOST_OFFSET = 1e4; // millimetres
 const NEAR = 4; // neighbours whose steps tell how many a point has
-const LONG = 14; // steps that are counted one by one
 const AROUND = 4;
 const AXES = 1 + AROUND;
 const STEPS = AXES + 3 * 2 * AROUND;
-const KINDS_OF_STEPS = 6;
-const CONTEXTS = STEPS + KINDS_OF_STEPS * AROUND;
+const CONTEXTS = STEPS + KINDS_OF_SIZES * AROUND;
 
 /**
  * Add the offsets of a section to points.
@@ -68,9 +66,7 @@ function readSteps(reader: BitReader, level: Level, steps: Int32Array): void {
       if ((axis < 2 || before) && !reader.bit(AXES + (2 * axis + before) * AROUND + near)) continue;
       before = 1;
       const negative = reader.number(1);
-      let size = 1;
-      while (size < LONG && reader.bit(STEPS + (Math.min(size, KINDS_OF_STEPS) - 1) * AROUND + near)) size++;
-      if (size === LONG) size += reader.growing();
+      const size = reader.size(STEPS + near, AROUND);
       steps[3 * row + axis] = negative ? -size : size;
     }
   });

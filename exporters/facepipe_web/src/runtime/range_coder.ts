@@ -6,6 +6,8 @@ const SLOWEST = 5; // shift of a context that has seen bits enough
 const TOP = 1 << 24;
 const MARGIN = 4; // zeros that a writer may leave out
 const LARGEST = 15; // bits of a number
+const LONG = 14; // of a size, which is counted one by one up to here
+export const KINDS_OF_SIZES = 6; // contexts of a size
 
 export class BitReader {
   private readonly likely: Int32Array;
@@ -66,6 +68,13 @@ export class BitReader {
       if (++length > LARGEST) throw new FaceError(this.where, `a number of more than ${LARGEST} bits, expected small ones`);
     }
     return (1 << length) - 1 + this.number(length);
+  }
+
+  /** The next number of 1 or more, in KINDS_OF_SIZES contexts, each a stride from the one before. */
+  size(context: number, stride: number): number {
+    let size = 1;
+    while (size < LONG && this.bit(context + (Math.min(size, KINDS_OF_SIZES) - 1) * stride)) size++;
+    return size === LONG ? size + this.growing() : size;
   }
 
   private fill(): void {
