@@ -1,7 +1,7 @@
 // A head of a GLB with a person of some hundred bytes on it, as skinned vertices.
 //
 //   g++ -std=c++17 -O3 -o person person.cpp
-//   facepipe export head.usdc --for persons -o head.glb && facepipe basis -o head.fpbasis
+//   facepipe export head.usdc --for persons --no-meshopt -o head.glb && facepipe basis -o head.fpbasis
 //   ./person head.glb head.fpbasis me.fpb --weights jawOpen=0.5 smileLeft=1 -o me.obj
 //
 // Without basis and person it is the head itself. Bones are posed by the coefficients in the person, or those of

@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The head that persons are put on, its basis, and a person with points."""
     folder = tmp_path_factory.mktemp("head")
     save_parts(make(0, textures=32), folder / "head.usdc")
-    facepipe.export(folder / "head.usdc", folder / "head.glb", purpose="persons", quantize=False)
+    facepipe.export(folder / "head.usdc", folder / "head.glb", purpose="persons", quantize=False, meshopt=False)
     facepipe.export(folder / "head.usdc", folder / "small.glb", purpose="persons", engine="unreal")
     (folder / "head.fpbasis").write_bytes(basis_file("head"))
     (folder / "me.fpb").write_bytes(PEOPLE["drawn with points"][1]())

@@ -26,8 +26,8 @@ from small_sources import made
 from facepipe.core.errors import InputError
 from facepipe.geometry.point_levels import PointLevels
 from facepipe.payload.basis import (
-    BasisContent,
     IDENTITY_JOINTS,
+    BasisContent,
     JointPlace,
     JointWeights,
     MeshRun,
