@@ -10,7 +10,7 @@ import pytest
 
 @pytest.fixture(scope="session")
 def corpus_of_20_000(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the whole corpus, whose verdicts take Python two minutes."""
+    """The folder of the whole corpus, whose verdicts take Python half a minute."""
     folder = tmp_path_factory.mktemp("corpus")
     assert sum(person_corpus.write(folder, 20_000).values()) == 20_000
     return folder

@@ -394,7 +394,7 @@ def _joints_of_person(rng: Rng, data: bytes) -> bytes:
         bits = encode_numbers(numbers)
     elif what == 2:
         bits = _scattered(rng, bits, 0)
-    step = rng.choice(_HALVES) if what == 3 else 0x3000
+    step = rng.choice((*_HALVES, 0x4900, 0x4901)) if what == 3 else 0x3000  # the most, and beyond
     own = struct.pack("<HB", step, count) + bits
     own = _cut(rng, own) if rng.random() < 0.2 else own
     return pack(sorted([*rows, Section(JOINTS, own, rng.random() < 0.9)]))
@@ -447,16 +447,19 @@ def _joints_of_basis(rng: Rng, data: bytes) -> bytes:
     if rows[-1].kind != IDENTITY_JOINTS:
         return data
     own = bytearray(rows[-1].data)
-    what, joints = rng.randrange(4), own[0]
+    what, joints = rng.randrange(5), own[0]
     if what == 0:
         place = rng.choice([0, 1, 2, 6, 9])
         own[place] = rng.choice([own[place] + 1 & 255, own[place] - 1 & 255, 0, 255])
+    elif what == 4:
+        own[2:6] = struct.pack("<I", rng.choice([5, 6]))  # five points have none: the last it can be, and beyond
     elif what == 1:
         place = 10 + 4 * rng.randrange(3 * joints)
-        own[place : place + 4] = struct.pack("<f", rng.choice((*_FLOATS, 1e5, -1e5, 100_001)))
+        own[place : place + 4] = struct.pack("<f", rng.choice((np.nan, -np.inf, 3e38, 1e5, -1e5, 100_001)))
     else:
         place = rng.randrange(10 + 12 * joints, len(own))
         own[place] = rng.choice([own[place] + 1 & 255, 0, joints - 1, joints])
+    own += bytes(rng.random() < 0.2)  # one more
     return sealed_basis(rng, written_sections([*rows[:-1], rows[-1]._replace(data=bytes(own))]))
 
 
