@@ -48,7 +48,7 @@ from facepipe.rig.trs import rotation_matrices
 from facepipe.scanning.database import create_database, save_database
 from facepipe.scanning.transfer.pictures import shown_faces
 from facepipe.scanning.transfer.transfer import TransferReport
-from facepipe.stage import Face
+from facepipe.stage import Face, save_parts
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.blend.graph import mix
 from facepipe.verbs.person_basis import head_basis
@@ -181,6 +181,22 @@ def person_bytes(folder: Path) -> Image.Image:
         heats.append((f"mean {off[basis.fitted].mean():.2f} mm", picture(parts, None, heat)))
     blank = Image.new("RGB", (size, size), "white")
     return contact_sheet([*drawn, ("", blank), *heats], columns=5)
+
+
+@of_docs
+def person_look(folder: Path) -> Image.Image:
+    """Drawn people, and the standard head on which their payloads with looks are put."""
+    save_parts(make(0, textures=1024), folder / "head.usdc")
+    drawn = []
+    for seed in (7, 13):
+        own, sent, back = folder / f"{seed}.usdc", folder / f"{seed}.fpb", folder / f"{seed}_back.usdc"
+        save_parts(make(seed, textures=1024), own)
+        report = facepipe.person(own, out=sent, look=True, within=50.0)
+        facepipe.apply_bones(folder / "head.usdc", sent, out=back)
+        for path, label in ((own, f"seed {seed}"), (back, f"{report.bytes} bytes")):
+            face = facepipe.open(path)
+            drawn.append((label, picture(face.parts(), None, close(face, 300, "three-quarter"))))
+    return contact_sheet(drawn, columns=4)
 
 
 @of_docs
