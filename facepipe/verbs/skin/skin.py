@@ -83,7 +83,8 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
     def check(self) -> None:
         super().check()
         if (self.joints is not None) + (self.source is not None) + bool(self.learn_from) != 1:
-            raise InputError("skin", "expected one of --joints, --from and --learn-from")
+            what = "none or several of joints, a source face and faces to learn from"
+            raise InputError("skin", f"{what}, expected one of them (--joints, --from, --learn-from)")
         if self.optimise and self.learn_from:
             raise InputError("--optimise", "given with --learn-from, expected only one of them")
 

@@ -100,7 +100,7 @@ class SkinFace:
 
     def __post_init__(self) -> None:
         if sum(way is not None for way in (self.joints, self.source, self.examples)) != 1:
-            raise InputError("skin", "expected one of joints, a source face and examples")
+            raise InputError("skin", "none or several of joints, a source face and examples, expected one of them")
         if self.optimise and self.examples is not None:
             raise InputError("skin", "optimised joints that are learnt from examples, expected only one of them")
 

@@ -158,9 +158,9 @@ def test_people_of_makehuman_are_nearer_than_by_as_many_joints_that_are_placed()
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), "skin: expected one of --joints, --from and --learn-from"),
+        ((), "expected one of them (--joints, --from, --learn-from)"),
         (("--learn-from", "face.usda"), "all faces are as the face itself, expected some that differ"),
-        (("--learn-from", "person1.usda", "--joints", "j.json"), "skin: expected one of --joints, --from and --learn"),
+        (("--learn-from", "person1.usda", "--joints", "j.json"), "expected one of them (--joints, --from, --learn-"),
         (("--learn-from", "person1.usda", "--optimise"), "--optimise: given with --learn-from, expected only one"),
         (("--from", "person1.usda", "--count", "3"), "--count: given without --learn-from, expected both or neither"),
         (("--learn-from", "other.usda"), "other.usda -> Head: 36 points, expected 256 as in the face"),

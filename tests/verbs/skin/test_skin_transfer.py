@@ -245,7 +245,7 @@ def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytes
     words = ("skin", tmp_path / "bare.usdc", "--from", tmp_path / "rigged.usdc")
     assert "mm from their own" in done(capsys, *words, "-o", tmp_path / "out.usdc", quiet=False)
     line = failed(capsys, *words, "--joints", words[1], "-o", tmp_path / "out.usdc", "--force", folder=tmp_path)
-    assert "expected one of them (--joints, --from)" in line
+    assert "expected one of them (--joints, --from, --learn-from)" in line
     with pytest.raises(InputError, match="expected one of them"):
         SkinFace()
 
