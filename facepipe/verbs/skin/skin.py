@@ -134,7 +134,8 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
         if report.learnt is not None:
             learnt = report.learnt
             left = f"bones leave {learnt.mean_mm:.3f} mm, p95 {learnt.p95_mm:.2f}, max {learnt.max_mm:.1f}"
-            lines.append(f"learnt from {learnt.faces} faces, {learnt.apart_mm:.2f} mm from this one: {left}")
+            faces = f"{learnt.faces} face{'s' * (learnt.faces != 1)}"
+            lines.append(f"learnt from {faces}, {learnt.apart_mm:.2f} mm from this one: {left}")
             low, high = learnt.scale
             needed = f"{learnt.translation_mm:.1f} mm, {learnt.rotation:.2f} radians, scales {low:.2f} to {high:.2f}"
             lines.append(f"limits: a quarter beyond what they need, up to {needed}")

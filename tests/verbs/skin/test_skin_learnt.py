@@ -114,6 +114,19 @@ def test_a_database_teaches_what_its_faces_do(tmp_path: Path, capsys: Capsys) ->
     np.testing.assert_allclose(one, other, atol=1e-3)
 
 
+def test_a_recipe_learns_again_from_faces_that_changed(folder: Path, capsys: Capsys) -> None:
+    (folder / "facepipe.toml").touch()
+    out = folder / "out.usda"
+    words = ("--learn-from", folder / "person0.usda", "--learn-from", folder / "person1.usda", "--count", "3")
+    done(capsys, "skin", folder / "face.usda", *words, "-o", out)
+    before = weights_of(facepipe.open(out))
+    save_parts(people(1, 7)[0], folder / "person1.usda")
+    done(capsys, "cook", out, "--force", quiet=False)
+    assert np.abs(weights_of(facepipe.open(out)) - before).max() > 0.01
+    done(capsys, "skin", "--edit", out, "--count", "5", "--force")
+    assert len(facepipe.open(out).skeleton.joints) == 6
+
+
 @pytest.mark.slow
 def test_people_of_makehuman_are_nearer_than_by_as_many_joints_that_are_placed() -> None:
     """By least squares over all channels, people who are not learnt from."""
