@@ -22,7 +22,7 @@ class SkinOptions(Ranged):
         100.0,
     )
     smoothing: float = option(2.0, "weights of --from are smoothed over this length along the surface", 0.0, 50.0, "mm")
-    count: int = option(60, "joints of --learn-from", 1, 255)
+    count: int = option(60, "joints of --learn-from", 1, 255, before=60)
     iterations: int = option(10, "rounds of --optimise", 1, 1000)
     evenness: float = option(
         0.3, "how much --optimise keeps weights even from point to point: more is smoother and misses more", 0.0, 100.0

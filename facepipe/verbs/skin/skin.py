@@ -68,6 +68,7 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
         default=(),
         flag="--learn-from",
         metavar="FACE",
+        before=(),
     )
     source: Path | None = source("a skinned face, of any topology", default=None, flag="--from", metavar="OTHER_FACE")
     optimise: bool = option(False, "refine the weights for the face's own blendshapes")
