@@ -214,8 +214,8 @@ def _within_bytes(basis: Basis, off: FloatArray, most: int) -> bytes:
         return float(apart @ weights + _LARGEST * apart[care == 1.0].max(initial=0.0))
 
     best, nearest, step = b"", score(off), _FIRST
-    for coarse in range(max(middle - 1, 0), min(middle + 2, len(sizes))):
-        low, high = _FINEST, _COARSEST
+    for coarse in range(min(middle + 1, len(sizes) - 1), -1, -1):
+        low, high, before = _FINEST, _COARSEST, nearest
         for _ in range(_TRIES):
             data, got = basis.levels.encode(off, step, coarse, care)
             if len(data) > most:
@@ -229,4 +229,6 @@ def _within_bytes(basis: Basis, off: FloatArray, most: int) -> bytes:
             # bytes go about as steps go back; the middle of what is left where that leads out of it
             step *= len(data) / most
             step = step if low < step < high else float(np.sqrt(low * high))
+        if coarse < middle and nearest == before:
+            break  # fewer points in finer steps come nearer for a while, where modes leave little
     return best

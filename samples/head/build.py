@@ -66,7 +66,8 @@ def main() -> None:
     (out / BASIS).write_bytes(encode_basis(basis(model, steps, made)))
     margins = lids(model, mirror)
     write_arrays(out / "lids.npz", margins)
-    found = controls(model, np.float32(STEP) * steps.transpose(0, 2, 1), stretch(model, made, margins), arguments.data)
+    modes = np.ascontiguousarray(steps.transpose(0, 2, 1)) * np.float32(STEP)
+    found = controls(model, modes, stretch(model, made, margins), arguments.data)
     write_arrays(out / "measures.npz", found)
     ict = arguments.data / "ict_facekit" / "ict_facekit.npz"
     skin_maps.main(ict, out / "skin_maps.npz")
