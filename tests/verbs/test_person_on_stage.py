@@ -22,7 +22,7 @@ from facepipe.heads import make
 from facepipe.heads.assembly import MODE, mode_sliders, values_of
 from facepipe.heads.asset import arrays, asset
 from facepipe.heads.people import draw
-from facepipe.parts import FaceParts
+from facepipe.parts import FaceParts, PersonBasis
 from facepipe.rig import set_face
 from facepipe.stage import Face, save_parts
 from facepipe.verbs.person_basis import head_basis
@@ -66,6 +66,11 @@ def measured(moved: FloatArray) -> FloatArray:
 
 def with_values(parts: FaceParts, values: dict[str, float]) -> FaceParts:
     return replace(parts, sliders=tuple(replace(one, value=values.get(one.name)) for one in parts.sliders))
+
+
+def of(basis: PersonBasis | None) -> PersonBasis:
+    assert basis is not None
+    return basis
 
 
 def skin_off(parts: FaceParts, other: FaceParts) -> FloatArray:
@@ -195,7 +200,7 @@ def test_lower_levels_are_the_person(here: Path, capsys: Capsys) -> None:
 
 def test_what_changes_points_puts_the_person_into_them(here: Path, capsys: Capsys) -> None:
     section, points = here / "section.usdc", here / "points.usdc"
-    assert facepipe.open(section).person_basis.section  # type: ignore[union-attr]
+    assert of(facepipe.open(section).person_basis).section
     moved = here / "moved.usda"
     with facepipe.open(section).deriving(moved) as face:
         from facepipe.stage.author_changes import author_changes
@@ -265,7 +270,7 @@ def test_a_damaged_section_is_one_line(
 def test_a_section_on_another_head_is_refused(here: Path) -> None:
     from faces import tiny_face
 
-    basis = replace(person(0).person_basis, section=(here / "anna.fpb").read_bytes())  # type: ignore[type-var]
+    basis = replace(of(person(0).person_basis), section=(here / "anna.fpb").read_bytes())
     face = Face.from_parts(replace(tiny_face(), person_basis=basis))
     with pytest.raises(FacepipeError, match="a person relative to the built-in head, expected its meshes"):
         face.parts()
@@ -273,7 +278,7 @@ def test_a_section_on_another_head_is_refused(here: Path) -> None:
 
 def test_sliders_of_an_unknown_basis_are_one_line(here: Path) -> None:
     parts = with_values(person(0), {f"{MODE}001": 1.0})
-    for basis in (None, replace(parts.person_basis, digest="0123")):  # type: ignore[type-var]
+    for basis in (None, replace(of(parts.person_basis), digest="0123")):
         with pytest.raises(
             FacepipeError, match=r"facepipe:person:digest: .*, expected [0-9a-f]{16} of the built-in head"
         ):
