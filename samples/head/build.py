@@ -62,7 +62,7 @@ def main() -> None:
     regions = head_regions(model.points)
     made = skeleton(model, mirror, jaw, tongue, regions, arguments.data)
     write_arrays(out / "head.npz", surface(model, regions) | shapes(model, jaw, tongue) | joints(made))
-    steps = np.rint(model.modes.transpose(0, 2, 1) / STEP).astype(np.int16)
+    steps = np.rint(model.modes.astype(np.float64).transpose(0, 2, 1) / STEP).astype(np.int16)
     (out / BASIS).write_bytes(encode_basis(basis(model, steps, made)))
     margins = lids(model, mirror)
     write_arrays(out / "lids.npz", margins)
