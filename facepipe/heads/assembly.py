@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -230,7 +230,11 @@ def _slider(name: str, group: str, parts: Gains, reach: float) -> Slider:
 @cache
 def mode_sliders() -> tuple[Slider, ...]:
     """Sliders of the identity modes, and of sums of them by region, each less what the modes add to measures."""
-    data = arrays("identity")
+    return sliders_of(arrays("identity"))
+
+
+def sliders_of(data: Mapping[str, npt.NDArray[Any]]) -> tuple[Slider, ...]:
+    """Those of the arrays of identity.npz."""
     size = len(data["even"])
     rows = [
         *((f"{MODE}{mode + 1:03}", "identity", row, IDENTITY_REACH) for mode, row in enumerate(np.eye(size))),
@@ -243,7 +247,7 @@ def mode_sliders() -> tuple[Slider, ...]:
     for name, group, weights, reach in rows:
         channels: dict[tuple[str, str], float] = {}
         shapes: dict[str, float] = {}
-        for measure, amount in measures_of(weights).items():
+        for measure, amount in measures_of(weights, data).items():
             for joint, channel, gain in by_name[measure].channels:
                 channels[joint, channel] = channels.get((joint, channel), 0.0) - amount * gain
             for shape, gain in by_name[measure].shapes:
@@ -261,12 +265,14 @@ def mode_sliders() -> tuple[Slider, ...]:
     return tuple(made)
 
 
-def measures_of(weights: FloatArray) -> dict[str, float]:
+def measures_of(weights: FloatArray, data: Mapping[str, npt.NDArray[Any]] | None = None) -> dict[str, float]:
     """The values of the sliders of measures that a person by weights (100,) of the identity modes has as its own.
 
     Sliders of both sides have the mean of both, those of one side what it differs by.
+
+    :param data: arrays of identity.npz; None: the package's
     """
-    data, names = arrays("identity"), arrays("measures")["names"]
+    data, names = data or arrays("identity"), arrays("measures")["names"]
     even, gains = data["even"], IDENTITY_STEP * data["gains"].astype(np.float64)
     both, apart = (np.where(rows, weights, 0.0) @ gains for rows in (even, ~even))
     found = {str(name): float(value) for name, value in zip(names, both, strict=True) if value}

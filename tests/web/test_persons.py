@@ -180,6 +180,7 @@ def shown(folder: Path, payload: Path) -> None:
 @pytest.mark.gate
 def test_the_page_of_a_payload(me: Path, tmp_path: Path) -> None:
     shown(tmp_path / "page", me)
+    assert (tmp_path / "page" / "me.fpb").read_bytes() == me.read_bytes()
 
 
 @pytest.mark.needs_torch
