@@ -31,6 +31,7 @@ from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
 from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, rest_shear, size_warning, some
 from facepipe.verbs.fit_bones.options import STRICTER, FitBonesOptions
+from facepipe.verbs.fit_bones.person_reach import PersonReach, person_reach
 from facepipe.verbs.fit_bones.targets import Target
 
 _SHOWN = 4  # names of a list
@@ -87,6 +88,7 @@ class TargetReport:
     capped: int = 0  # frames whose solve ended at --max-iterations, before an optimum
     at_limits: tuple[str, ...] = ()  # "joint:channel" where some frame is stopped by a limit
     residual: ResidualReport | None = None
+    person: PersonReach | None = None  # of another face on the head in the box that bones alone miss
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +138,12 @@ class FitBonesReport(Report):
                 f"{name}: stopped by limits: {_names(target.at_limits)}"
                 for name, target in self.targets.items()
                 if target.at_limits
+            ),
+            *(
+                f"{name}: bones leave {who.bones_mean_mm:.3f} mm on average, `facepipe person` {who.mean_mm:.3f} mm "
+                f"in {who.bytes:,} bytes"
+                for name, target in self.targets.items()
+                if (who := target.person)
             ),
         ]
         if self.weightless:
@@ -424,6 +432,7 @@ class TargetFits:
             offsets = sum(len(part.offsets) for shape in shapes for part in shape if part is not None)
             residual = ResidualReport(shapes=len(shapes), points=offsets, distances=distances(miss_at_end[:, counts]))
         start = np.clip(self._start, fit.lower, fit.upper)
+        missed = bool((miss[:, counts] > threshold).any())
         report = TargetReport(
             animation=name,
             frames=len(coefficients),
@@ -435,6 +444,7 @@ class TargetFits:
             capped=capped,
             at_limits=at_limits(solved, fit.lower, fit.upper, self._rig.joints, fit.free),
             residual=residual,
+            person=person_reach(self.parts, target, miss[0]) if target.person and missed else None,
         )
         animation = Animation(
             name=name,
