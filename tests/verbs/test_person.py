@@ -28,7 +28,8 @@ from facepipe.payload.sections import MOST_SECTIONS, Section, pack, unpack
 from facepipe.payload.small_numbers import decode_numbers, encode_numbers
 from facepipe.rig import build, coefficient_matrices
 from facepipe.rig.conventions import ARKIT_SHAPES
-from facepipe.stage import save_parts
+from facepipe.stage import Face, save_parts
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.person_basis import Basis, head_basis
 from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.whole_faces import whole_points
@@ -185,6 +186,22 @@ def test_bytes_are_kept_to_and_used(most: int) -> None:
     assert 0.9 * most < len(data) <= most or (most == 330 and len(data) <= most)
     means = [distances(layer.points, warped).mean() for layer in layers]
     assert means == sorted(means, reverse=True)
+
+
+@pytest.mark.slow
+def test_no_point_of_a_blend_is_far_at_10_000_bytes() -> None:
+    """One whose sizes near the best step are all a few bytes above what there is room for."""
+    random = np.random.default_rng(1005)
+    seeds = random.choice(np.arange(1000, 10_000), 2, replace=False).tolist()
+    names = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "neck", "nose")
+    shares = {name: float(random.choice([0.0, 1.0, random.uniform()])) for name in names}
+    weights = Weights(regions={name: (1.0 - share, share) for name, share in shares.items()}, default=(1.0, 0.0))
+    session = BlendSession([Face.from_parts(make(seed)) for seed in seeds], BlendOptions(), live=False)
+    points = 10 * session.neutral(weights).points
+    data, _ = encode_points(head_basis(), points, most=10_000)
+    off = distances(head_basis().rebuilt(decode_person(data, "person"), "person"), points)
+    assert len(data) <= 10_000
+    assert skin(off).max() < 0.3
 
 
 def test_a_rebuilt_person_is_the_person(tmp_path: Path, capsys: Capsys) -> None:

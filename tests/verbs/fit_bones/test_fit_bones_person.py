@@ -11,6 +11,7 @@ from bone_faces import in_metres_z_up, small
 from command_line import Capsys, run
 
 import facepipe
+from facepipe.core.arrays import BoolArray
 from facepipe.heads import make
 from facepipe.parts import FaceParts
 from facepipe.payload.person import decode_person
@@ -29,8 +30,8 @@ def drawn(seed: int) -> FaceParts:
     return make(seed)
 
 
-def target(parts: FaceParts, **more: object) -> Target:
-    return Target(name="goal", points=build(parts).evaluate()[None], person=True, **more)  # type: ignore[arg-type]
+def target(parts: FaceParts, known: BoolArray | None = None) -> Target:
+    return Target(name="goal", points=build(parts).evaluate()[None], person=True, known=known)
 
 
 @pytest.mark.slow
