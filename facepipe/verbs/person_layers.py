@@ -226,7 +226,7 @@ def _within_bytes(basis: Basis, off: FloatArray, most: int) -> bytes:
                     best, nearest = data, near
                 if len(data) > _FULL * most:
                     break
-            # bytes go about as steps go back, to where they will do (aimed at `most` itself it settles a byte above, and
+            # bytes go about as steps go back, to where they will do (aimed at `most` itself it ends a byte above, and
             # the finest points are left out); the middle of what is left where that leads out of it
             step *= len(data) / (0.5 * (_FULL + 1.0) * most)
             step = step if low < step < high else float(np.sqrt(low * high))
