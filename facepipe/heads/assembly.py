@@ -16,7 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.heads.asset import ATTRIBUTION, IDENTITY_MODES, Asset, Part, arrays, asset, unpacked
-from facepipe.heads.lid_fit import LOOKS, SIDES, SQUINT, TURN, Ends, Eye, Socket
+from facepipe.heads.lid_fit import LOOKS, SIDES, SQUINT, TURN, Ends, Eye, Socket, sockets
 from facepipe.heads.lip_fit import fit_lips
 from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
 from facepipe.heads.people import OLDEST, YOUNGEST, draw
@@ -145,11 +145,11 @@ def bone_sliders() -> tuple[Slider, ...]:
 
 
 @cache
-def _sockets(*, around: bool = False) -> tuple[Socket, ...]:
-    return tuple(Socket.of(side, _eye_ends, around=around) for side in SIDES)
+def _sockets_with_skin() -> tuple[Socket, ...]:
+    return tuple(socket.with_skin(side, eye_ends) for side, socket in zip(SIDES, sockets(), strict=True))
 
 
-def _eye_ends(side: str, lids: IntArray) -> Ends:
+def eye_ends(side: str, lids: IntArray) -> Ends:
     """The sliders of measures that change both eyes, at both ends."""
     offsets = {shape.name: shape.offsets[lids] for one in directions() for shape in one.shapes}
     moved, ball, joints = [], [], []
@@ -173,7 +173,7 @@ def _with_looks(points: FloatArray, shapes: Shapes, heights: FloatArray | None =
     :param heights: as of `Eye.of`
     """
     fitted = dict(shapes)
-    for side, socket in zip(SIDES, _sockets(), strict=True):
+    for side, socket in zip(SIDES, sockets(), strict=True):
         names = {name: f"{name}{side}" for name in (*LOOKS, SQUINT)}
         own = {name: {at: ways[socket.lids] for at, ways in shapes[full].items()} for name, full in names.items()}
         for name, ways in Eye.of(socket, points, heights).fitted(own).items():
@@ -536,7 +536,7 @@ def with_parts_fitted(points: FloatArray) -> FloatArray:
 def _with_parts_fitted(points: FloatArray) -> tuple[FloatArray, Shapes]:
     """And the shapes, with blinks of theirs."""
     points, shapes = fit_eyes(fit_mouth(points), asset().shapes)
-    for socket in _sockets(around=True):
+    for socket in _sockets_with_skin():
         points[socket.lids] = Eye.of(socket, points).cleared()
     return points, shapes
 

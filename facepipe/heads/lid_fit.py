@@ -8,16 +8,17 @@ the eyeball in one of these poses are pushed out along its radius, and the skin 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.balls import fit_ball
-from facepipe.heads.asset import arrays, asset
+from facepipe.heads.asset import asset
+from facepipe.payload.lid_tables import RINGS, EyeTables, LidTables
 
 SIDES = ("Left", "Right")
 TURN = 0.5  # radians that an eye turns to the side, and up or down, at 1
@@ -30,16 +31,15 @@ LOOKS: Mapping[str, tuple[float, float]] = {  # shape -> how the left eye turns 
 }
 _HALF = 0.5  # a weight at which looks are kept out of the eyeball too
 _FAR = -9.0  # cm: below all that lies over an eyeball
-_RINGS = 13  # of lids; at rest the skin around them counts too, as rings farther out
-_AROUND = 5  # of those
+_AROUND = 5  # rings farther out than lids': at rest the skin around them counts too
 # by ring, cm over the eyeball
 _LEAST = np.array([_FAR, 0.0, 0.02, 0.06, 0.10, 0.12, 0.12, 0.12, 0.12, 0.12, 0.10, _FAR, _FAR])
 _LEAST_AT_ENDS = np.array([_FAR, -0.1, -0.05, 0.01, 0.02, *(8 + _AROUND) * (0.03,)])  # of sliders, or squinting too
 _CREASE = 5  # the first ring beyond the margin
 _SOFT = 0.01  # cm, over which points begin to be pushed
 _SPREAD = 12  # rounds in which a push spreads to the skin beside it
-_CELLS, _SIDE = 128, 1.5  # of a table of an eyeball: stereographic coordinates about its front, to plus and minus 1.5
-_NEAREST = 3  # points of the eyeball that say how far it reaches in a direction
+REACH_SIDE = 1.5  # a table of an eyeball goes to plus and minus that, in stereographic coordinates about its front
+_CM = 0.1  # of a millimetre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,73 +57,90 @@ class Socket:
 
     lids: IntArray  # (k,) points
     rings: IntArray  # (k,)
+    upper: npt.NDArray[np.bool_]  # (k,); False around
+    corners: IntArray  # (2,) rows of lids
     ball: slice  # points of the eyeball
     centre: FloatArray  # (3,)
-    reach: FloatArray  # (_CELLS, _CELLS) cm from the middle of the eyeball
+    shell: cKDTree  # directions of the eyeball's outside from its middle
+    radii: FloatArray  # and how far that is
+    reach: FloatArray  # (c, c) cm from the middle of the eyeball to its outside
     turns: Mapping[str, FloatArray]  # look -> rotations (2, 3, 3) at 1 and at a half
-    beside: csr_array  # (k, k) the mean over the points beside each
+    beside: csr_array  # (k, k) the mean over the points beside each; those of no lid count as 0
     joints: IntArray  # (2,) of the upper lid and the lower
     shares: FloatArray  # (2, k) their skin weights
     ends: Ends
 
-    @classmethod
-    def of(cls, side: str, ends: Callable[[str, IntArray], Ends], *, around: bool = False) -> Socket:
-        """The left or the right one.
+    def lack(self, offsets: FloatArray, turn: FloatArray, scale: FloatArray, least: FloatArray) -> FloatArray:
+        """(..., k) cm that offsets (..., k, 3) from the middle of a turned eyeball lack to lie over it, by rings."""
+        lengths = np.sqrt((offsets**2).sum(axis=-1))
+        directions = (offsets / lengths[..., None]) @ turn  # back into the eyeball that looks ahead
+        cells = len(self.reach)
+        flat = directions[..., :2] / (1.0 + np.maximum(directions[..., 2:], -0.5))
+        place = np.clip((flat + REACH_SIDE) * ((cells - 1) / (2 * REACH_SIDE)), 0.0, cells - 1.001)
+        cell = place.astype(np.intp)
+        s, t = np.moveaxis(place - cell, -1, 0)
+        first, reach = cell[..., 1] * cells + cell[..., 0], self.reach.ravel()
+        low, high = ((1 - s) * reach[first + row] + s * reach[first + row + 1] for row in (0, cells))
+        return np.asarray(least[self.rings] + scale * ((1 - t) * low + t * high) - lengths)
+
+    def with_skin(self, side: str, ends: Callable[[str, IntArray], Ends]) -> Socket:
+        """With the skin around lids.
 
         :param ends: by side and lids
-        :param around: with the skin around lids
         """
-        head, data, number = asset(), arrays("lids"), SIDES.index(side)
-        lids, rings = data["lids"][number], data["lid_rings"]
-        if around:
-            lids, rings = _with_skin(lids, rings)
-        centre, reach = _eyeball(side)
-        names = [path.rpartition("/")[2] for path in head.joints]
-        joints = np.array([names.index(f"{lid}{side}") for lid in ("lidUpper", "lidLower")])
-        own = head.skin_joints[lids] == joints[:, None, None]
-        return cls(
+        head, lids, rings = asset(), self.lids, self.rings
+        for ring in range(RINGS, RINGS + _AROUND):
+            beyond = np.setdiff1d(np.flatnonzero(head.links[:, lids[rings == ring - 1]].sum(axis=1)), lids)
+            lids, rings = np.append(lids, beyond), np.append(rings, np.full(len(beyond), ring))
+        links = (head.links[lids] > 0).astype(np.float64)
+        own = head.skin_joints[lids] == self.joints[:, None, None]
+        return replace(
+            self,
             lids=lids,
             rings=rings,
-            ball=head.parts[f"Eyeball{side}"].points,
-            centre=centre,
-            reach=reach,
-            turns={name: _turns(x, y * (1 - 2 * number)) for name, (x, y) in LOOKS.items()},
-            beside=_beside(lids),
-            joints=joints,
+            upper=np.append(self.upper, np.zeros(len(lids) - len(self.lids), bool)),
+            beside=csr_array(links / links.sum(axis=1)[:, None])[:, lids],
             shares=(head.skin_weights[lids] * own).sum(axis=-1),
             ends=ends(side, lids),
         )
 
 
 @cache
-def _eyeball(side: str) -> tuple[FloatArray, FloatArray]:
-    """The middle (3,) of an average eyeball, and the table of how far it reaches."""
-    head = asset()
-    centre = fit_ball(head.points[head.parts[f"Eyeball{side}"].points]).centre
-    return centre, _reach(head.points[arrays("lids")["eye_shells"][SIDES.index(side)]] - centre)
+def sockets() -> tuple[Socket, ...]:
+    """The left and the right one."""
+    tables = asset().basis.lids
+    assert tables is not None  # samples/head/lid_tables.py adds them
+    return tuple(_socket(tables, number) for number in range(len(SIDES)))
 
 
-def _with_skin(lids: IntArray, rings: IntArray) -> tuple[IntArray, IntArray]:
-    """Points (k,) of lids and their rings, and those of `_AROUND` rings more."""
-    links = asset().links
-    for ring in range(_RINGS, _RINGS + _AROUND):
-        beyond = np.setdiff1d(np.flatnonzero(links[:, lids[rings == ring - 1]].sum(axis=1)), lids)
-        lids, rings = np.append(lids, beyond), np.append(rings, np.full(len(beyond), ring))
-    return lids, rings
-
-
-def _reach(offsets: FloatArray) -> FloatArray:
-    """Table of how far the outside (n, 3) of an eyeball reaches: searches in a tree take 20 times as long.
-
-    Places in it are stereographic: the sphere as its rearmost point sees it, without a pole before the eye.
-    """
+def _socket(tables: LidTables, number: int) -> Socket:
+    eye: EyeTables = tables.eyes[number]
+    count, sizes = len(eye.lids), [len(rows) for rows in tables.beside]
+    shares = np.repeat(1.0 / tables.links, sizes)
+    starts = np.append(0, np.cumsum(sizes))
+    offsets = _CM * (asset().basis.mean[eye.shell] - eye.centre)
     radii = np.linalg.norm(offsets, axis=1)
-    x, y = np.meshgrid(*2 * (np.linspace(-_SIDE, _SIDE, _CELLS),))
-    scale = 2.0 / (1.0 + x**2 + y**2)
-    directions = np.stack([x * scale, y * scale, scale - 1.0], axis=-1)
-    away, near = cKDTree(offsets / radii[:, None]).query(directions, k=_NEAREST)
-    weights = 1.0 / (away + 1e-3)
-    return np.asarray((weights * radii[near]).sum(axis=-1) / weights.sum(axis=-1))
+    ends = np.concatenate([-eye.ends, eye.ends]), np.concatenate([-eye.balls, eye.balls])
+    return Socket(
+        lids=eye.lids,
+        rings=tables.rings,
+        upper=tables.upper,
+        corners=np.array(tables.corners),
+        ball=slice(*eye.ball),
+        centre=_CM * eye.centre,
+        shell=cKDTree(offsets / radii[:, None]),
+        radii=radii,
+        reach=_CM * (tables.reach[:, ::-1] if number else tables.reach),
+        turns={name: _turns(x, y * (1 - 2 * number)) for name, (x, y) in LOOKS.items()},
+        beside=csr_array((shares, np.concatenate(tables.beside), starts), shape=(count, count)),
+        joints=np.array(eye.joints),
+        shares=eye.shares,
+        ends=Ends(
+            lids=_CM * ends[0],
+            ball=ends[1] * [_CM, _CM, _CM, 1.0],
+            joints=np.concatenate([-eye.stretches, eye.stretches]) * [_CM, 1.0],
+        ),
+    )
 
 
 def _turns(about_x: float, about_y: float) -> FloatArray:
@@ -133,12 +150,6 @@ def _turns(about_x: float, about_y: float) -> FloatArray:
         (a, b), (c, d) = ((np.cos(weight * angle), np.sin(weight * angle)) for angle in (about_x, about_y))
         found.append(np.array([[1, 0, 0], [0, a, -b], [0, b, a]]) @ np.array([[c, 0, d], [0, 1, 0], [-d, 0, c]]))
     return np.stack(found)
-
-
-def _beside(lids: IntArray) -> csr_array:
-    """(k, k) the mean over the points beside each of the points (k,) of the head; those of no lid count as 0."""
-    links = (asset().links[lids] > 0).astype(np.float64)
-    return csr_array(links / links.sum(axis=1)[:, None])[:, lids]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +217,7 @@ class Eye:
 
     def _need(self, way: FloatArray, turn: FloatArray, least: FloatArray = _LEAST) -> FloatArray:
         """(k,) cm that lids lack over the turned eyeball where they go `way` (k, 3)."""
-        return self._lack(self.lids + way - self.centre, turn, np.array(self.scale), least)
+        return self.socket.lack(self.lids + way - self.centre, turn, np.array(self.scale), least)
 
     def _need_at_ends(self, way: FloatArray, turn: FloatArray) -> FloatArray:
         """(k,) the most that they lack at an end of any slider."""
@@ -217,20 +228,8 @@ class Eye:
         )
         moved[..., 1] += (shares * stretch).sum(axis=1)
         size = self.scale * (1.0 + ends.ball[:, 3:])
-        lack = self._lack(moved - self.centre - ends.ball[:, None, :3], turn, size, _LEAST_AT_ENDS)
+        lack = self.socket.lack(moved - self.centre - ends.ball[:, None, :3], turn, size, _LEAST_AT_ENDS)
         return np.asarray(lack.max(axis=0))
-
-    def _lack(self, offsets: FloatArray, turn: FloatArray, scale: FloatArray, least: FloatArray) -> FloatArray:
-        """(..., k) of offsets (..., k, 3) from the middle of the eyeball."""
-        lengths = np.sqrt((offsets**2).sum(axis=-1))
-        directions = (offsets / lengths[..., None]) @ turn  # back into the eyeball that looks ahead
-        flat = directions[..., :2] / (1.0 + np.maximum(directions[..., 2:], -0.5))
-        place = np.clip((flat + _SIDE) * ((_CELLS - 1) / (2 * _SIDE)), 0.0, _CELLS - 1.001)
-        cell = place.astype(np.intp)
-        s, t = np.moveaxis(place - cell, -1, 0)
-        first, reach = cell[..., 1] * _CELLS + cell[..., 0], self.socket.reach.ravel()
-        low, high = ((1 - s) * reach[first + row] + s * reach[first + row + 1] for row in (0, _CELLS))
-        return np.asarray(least[self.socket.rings] + scale * ((1 - t) * low + t * high) - lengths)
 
     def _spread(self, need: FloatArray) -> FloatArray:
         """(k,) pushes of at least the need, as smooth as a skin drawn over them."""

@@ -14,17 +14,15 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.heads.asset import arrays, asset
+from facepipe.heads.asset import asset
+from facepipe.heads.lid_fit import SIDES, Socket, sockets
 
 Shapes = Mapping[str, Mapping[float, FloatArray]]
 
-_SIDES = ("Left", "Right")
 _WAYS = (0.25, 0.5, 0.75)
 # by ring
 _LEAST = np.array([-1, 0.0, 0.025, 0.08, 0.14, 0.17, 0.17, 0.17, 0.17, 0.15, 0.1, -1, -1])  # cm over the eyeball
@@ -48,24 +46,10 @@ _DRAWN_BACK = 0.15  # cm at most
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Eye:
-    """An eye of the average head, with k points of lids."""
-
-    ball: slice  # the eyeball's points
-    centre: FloatArray  # (3,)
-    directions: cKDTree  # of the eyeball's points from the centre
-    radii: FloatArray  # and how far they are
-    lids: IntArray  # (k,) points
-    rings: IntArray  # (k,)
-    upper: npt.NDArray[np.bool_]  # (k,)
-    corners: IntArray  # (2,) rows of lids
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Ball:
     """The eyeball of a person: the average one, moved and scaled."""
 
-    eye: _Eye
+    socket: Socket
     centre: FloatArray
     scale: float
 
@@ -74,15 +58,15 @@ class _Ball:
         offsets = lids - self.centre
         lengths = np.linalg.norm(offsets, axis=1)
         directions = offsets / lengths[:, None]
-        away, near = self.eye.directions.query(directions, k=_NEAREST)
+        away, near = self.socket.shell.query(directions, k=_NEAREST)
         weights = 1.0 / (away + 1e-3)
-        reach = (weights * self.eye.radii[near]).sum(axis=1) / weights.sum(axis=1)
+        reach = (weights * self.socket.radii[near]).sum(axis=1) / weights.sum(axis=1)
         return directions, lengths - self.scale * reach
 
     def lifted(self, lids: FloatArray) -> FloatArray:
         """Lids (k, 3) that lie over the eyeball as much as they must."""
         directions, height = self.above(lids)
-        least = _LEAST[self.eye.rings]
+        least = _LEAST[self.socket.rings]
         lift = np.where(least < 0, 0.0, _SOFT * np.logaddexp(0.0, (least - height) / _SOFT))
         return lids + lift[:, None] * directions
 
@@ -93,17 +77,17 @@ def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
     :param shapes: name -> weight, 1 the last -> (n, 3) offsets there
     """
     points, shapes = points.copy(), dict(shapes)
-    eyes, average = _eyes(), asset().points
+    eyes, average = sockets(), asset().points
     # both eyeballs are of one size
     spreads = [(one[each.ball] - one[each.ball].mean(axis=0)).std() for one in (points, average) for each in eyes]
     scale = float((spreads[0] + spreads[1]) / (spreads[2] + spreads[3]))
     balls = []
     for each in eyes:
         start = each.centre + (points[each.ball] - average[each.ball]).mean(axis=0)
-        eyeball = _Ball(eye=each, centre=start, scale=scale)
+        eyeball = _Ball(socket=each, centre=start, scale=scale)
         # moved a little, so that the lids lie on it as the average ones do on theirs
         touching = np.isin(each.rings, _TOUCH)
-        goal = _Ball(eye=each, centre=each.centre, scale=1.0).above(average[each.lids])[1][touching]
+        goal = _Ball(socket=each, centre=each.centre, scale=1.0).above(average[each.lids])[1][touching]
         for _ in range(_STEPS):
             directions, height = eyeball.above(points[each.lids])
             miss = height[touching] - goal
@@ -112,8 +96,8 @@ def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
             step = np.linalg.lstsq(rows, np.append(miss * weights, start - eyeball.centre), rcond=None)[0]
             eyeball = replace(eyeball, centre=eyeball.centre + step)
         balls.append(eyeball)
-    for side, ball in zip(_SIDES, balls, strict=True):
-        eye = ball.eye
+    for side, ball in zip(SIDES, balls, strict=True):
+        eye = ball.socket
         points[eye.ball] = ball.centre + ball.scale * (average[eye.ball] - eye.centre)
         points[eye.lids] = ball.lifted(points[eye.lids])
         name = f"eyeBlink{side}"
@@ -123,7 +107,7 @@ def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
 
 def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -> Mapping[float, FloatArray]:
     """The blink of a person, with inbetweens on which the lids slide over the eyeball."""
-    eye, start = ball.eye, points[ball.eye.lids]
+    eye, start = ball.socket, points[ball.socket.lids]
     lids = ball.lifted(start + blink[1.0][eye.lids])
     # blinking lids (k, 3) with the upper margin brought onto the lower one, and the lid drawn after it
     inner, outer = lids[eye.corners]
@@ -161,30 +145,6 @@ def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -
 def _at(along: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
     """(k, 3) values between those (m, 3) at `known` (m,)."""
     return np.stack([np.interp(along, known, column) for column in values.T], axis=1)
-
-
-@cache
-def _eyes() -> tuple[_Eye, ...]:
-    head, data = asset(), arrays("lids")
-    eyes = []
-    for side, lids, shell in zip(_SIDES, data["lids"], data["eye_shells"], strict=True):
-        ball = head.parts[f"Eyeball{side}"].points
-        centre = fit_ball(head.points[ball]).centre
-        offsets = head.points[shell] - centre
-        radii = np.linalg.norm(offsets, axis=1)
-        eyes.append(
-            _Eye(
-                ball=ball,
-                centre=centre,
-                directions=cKDTree(offsets / radii[:, None]),
-                radii=radii,
-                lids=lids,
-                rings=data["lid_rings"],
-                upper=data["lid_upper"],
-                corners=data["eye_corners"],
-            )
-        )
-    return tuple(eyes)
 
 
 def fit_mouth(points: FloatArray) -> FloatArray:

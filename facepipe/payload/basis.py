@@ -11,22 +11,22 @@ import hashlib
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.payload.lid_tables import LidTables, lid_bytes, read_lids
+from facepipe.payload.section_bytes import SectionBytes, planes
 from facepipe.payload.sections import Section, read_sections, written_sections
-
-Planes = npt.NDArray[np.uint8]
 
 MAGIC, VERSION = b"FPBA", 1
 DIGEST = 8  # bytes
-NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS = 1, 2, 3, 4, 5, 6, 7, 8  # kinds of sections
-_KNOWN = (NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS)
+NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS, LIDS = range(1, 10)  # kinds of sections
+_KNOWN = range(NAME, LIDS + 1)
 MOST_PARTS = 16
 WHOLE = 64  # shares of a point's neighbours are so many-th, in sum 1
 _FINEST = 1_000_000  # places in a millimetre
@@ -93,6 +93,7 @@ class BasisContent:
     parts: tuple[RigidRows, ...] = ()
     joints: tuple[JointPlace, ...] = ()
     identity_joints: JointWeights | None = None
+    lids: LidTables | None = None
 
     @property
     def mean(self) -> FloatArray:
@@ -118,6 +119,7 @@ def basis_body(content: BasisContent) -> bytes:
             *([Section(PARTS, b"".join(map(_part_bytes, content.parts)))] if content.parts else []),
             *([Section(JOINTS, _text_rows(map(_joint_bytes, content.joints)))] if content.joints else []),
             *([Section(IDENTITY_JOINTS, _weights_bytes(own))] if (own := content.identity_joints) else []),
+            *([Section(LIDS, lid_bytes(content.lids), required=False)] if content.lids else []),
         ]
     )
 
@@ -172,27 +174,12 @@ def _inflated(data: bytes, size: int, where: object) -> bytes:
     return body
 
 
-def _planes(values: npt.NDArray[Any], count: int) -> bytes:
-    """Whole numbers as `count` planes of bytes, the low ones first, small numbers of either sign small."""
-    wide = np.ascontiguousarray(values, np.int64).ravel()
-    folded = (wide << 1) ^ (wide >> 63)
-    return b"".join((folded >> 8 * i & 0xFF).astype(np.uint8).tobytes() for i in range(count))
-
-
-def unfolded(planes: Planes) -> IntArray:
-    """(n,) the numbers of planes (count, n) of bytes."""
-    folded = np.zeros(planes.shape[1], np.int64)
-    for i, plane in enumerate(planes):
-        folded |= plane.astype(np.int64) << 8 * i
-    return np.asarray((folded >> 1) ^ -(folded & 1))
-
-
 def _text_rows(rows: Sequence[tuple[str, bytes]] | Iterator[tuple[str, bytes]]) -> bytes:
     return b"".join(bytes([len(name.encode())]) + name.encode() + data for name, data in rows)
 
 
 def _mean_bytes(content: BasisContent) -> bytes:
-    return struct.pack("<I", content.grid) + _planes(np.diff(content.places, axis=0, prepend=0).T, 4)
+    return struct.pack("<I", content.grid) + planes(np.diff(content.places, axis=0, prepend=0).T, 4)
 
 
 def _levels_bytes(content: BasisContent) -> bytes:
@@ -202,7 +189,7 @@ def _levels_bytes(content: BasisContent) -> bytes:
     near = [(level.neighbours - level.rows[:, None]).T.ravel() for level in content.levels]
     shares = b"".join(np.ascontiguousarray(level.shares.T).tobytes() for level in content.levels)
     head = bytes([len(content.levels)]) + np.array(counts, "<u4").tobytes() + widths
-    return head + _planes(np.concatenate(rows), 4) + _planes(np.concatenate([*near, np.zeros(0, int)]), 4) + shares
+    return head + planes(np.concatenate(rows), 4) + planes(np.concatenate([*near, np.zeros(0, int)]), 4) + shares
 
 
 def _modes_bytes(content: BasisContent) -> bytes:
@@ -215,7 +202,7 @@ def _modes_bytes(content: BasisContent) -> bytes:
         known += len(level.rows)
     rest[known:] = np.diff(columns[content.order[known:]], axis=0, prepend=np.int16(0))
     head = struct.pack("<Hf", len(content.modes), content.step)
-    return head + _planes(rest.T, 2)
+    return head + planes(rest.T, 2)
 
 
 def _predicted(columns: npt.NDArray[np.int16], level: Level) -> npt.NDArray[np.int16]:
@@ -253,24 +240,24 @@ class _Reader:
 
     def __init__(self, sections: dict[int, bytes], where: object) -> None:
         self._sections, self._where = sections, where
-        self._kind, self._data, self._at = 0, b"", 0
 
     def content(self) -> BasisContent:
         """:raises InputError: bytes too few or too many, or numbers that don't fit each other"""
-        name = self._text(self._sections[NAME])
-        self._open(MESHES)
+        section = self._open(NAME)
+        name = section.text(section.data)
+        section = self._open(MESHES)
         meshes = []
-        while self._at < len(self._data):
-            meshes.append(MeshRun(self._text(self._take(self._take(1)[0])), int(self._numbers("<u4", 1)[0])))
+        while section.left:
+            meshes.append(MeshRun(section.text(section.take(section.take(1)[0])), int(section.numbers("<u4", 1)[0])))
         count = sum(mesh.points for mesh in meshes)
         if not 0 < count <= _MOST_POINTS:
-            raise self._wrong(f"{count:,} points, expected 1 to {_MOST_POINTS:,}")
-        self._open(MEAN)
-        topology, grid = self._take(32), int(self._numbers("<u4", 1)[0])
+            raise section.wrong(f"{count:,} points, expected 1 to {_MOST_POINTS:,}")
+        section = self._open(MEAN)
+        topology, grid = section.take(32), int(section.numbers("<u4", 1)[0])
         if not 1 <= grid <= _FINEST:
-            raise self._wrong(f"{grid} places in a millimetre, expected 1 to {_FINEST:,}")
-        places = np.cumsum(self._planes(3 * count, 4).reshape(3, count), axis=1).T
-        self._end()
+            raise section.wrong(f"{grid} places in a millimetre, expected 1 to {_FINEST:,}")
+        places = np.cumsum(section.planes(3 * count, 4).reshape(3, count), axis=1).T
+        section.end()
         coarsest, levels = self._levels(count)
         found = BasisContent(
             name=name,
@@ -286,51 +273,48 @@ class _Reader:
             joints=self._joints(count) if JOINTS in self._sections else (),
             identity_joints=self._identity_joints(count) if IDENTITY_JOINTS in self._sections else None,
         )
+        if LIDS in self._sections:
+            found = replace(found, lids=read_lids(self._open(LIDS), count, len(found.joints)))
         if MODES not in self._sections:
             return found
         step, modes = self._modes(found)
-        return BasisContent(**{**vars(found), "step": step, "modes": modes})
+        return replace(found, step=step, modes=modes)
 
     def _levels(self, points: int) -> tuple[IntArray, tuple[Level, ...]]:
-        self._open(LEVELS)
-        count = self._take(1)[0]
-        sizes = self._numbers("<u4", count + 1).astype(np.int64)
-        widths = np.frombuffer(self._take(count), np.uint8).astype(np.int64)
+        section = self._open(LEVELS)
+        count = section.take(1)[0]
+        sizes = section.numbers("<u4", count + 1).astype(np.int64)
+        widths = np.frombuffer(section.take(count), np.uint8).astype(np.int64)
         if sizes.sum() > points:
-            raise self._wrong(f"{sizes.sum():,} points of levels, expected at most {points:,}")
+            raise section.wrong(f"{sizes.sum():,} points of levels, expected at most {points:,}")
         ends = np.cumsum(sizes)
-        rows = np.split(self._planes(int(ends[-1]), 4), ends[:-1])
-        near = np.split(self._planes(int(sizes[1:] @ widths), 4), np.cumsum(sizes[1:] * widths)[:-1] if count else [])
+        rows = np.split(section.planes(int(ends[-1]), 4), ends[:-1])
+        near = np.split(section.planes(int(sizes[1:] @ widths), 4), np.cumsum(sizes[1:] * widths)[:-1] if count else [])
         coarsest, *others = (np.cumsum(one) for one in rows)
         known = np.zeros(points, bool)
-        self._check_rows(coarsest, known)
+        _check_rows(section, coarsest, known)
         levels = []
         for own, offsets, width in zip(others, near, widths.tolist(), strict=False):
             neighbours = offsets.reshape(width, len(own)).T + own[:, None]
-            shares = np.frombuffer(self._take(width * len(own)), np.int8).reshape(width, len(own)).T
+            shares = np.frombuffer(section.take(width * len(own)), np.int8).reshape(width, len(own)).T
             inside = ((neighbours >= 0) & (neighbours < points)).all()
             if not width or not inside or not known[neighbours].all():
-                raise self._wrong("neighbours that are in no coarser level, expected points that are")
+                raise section.wrong("neighbours that are in no coarser level, expected points that are")
             if (shares.sum(axis=1, dtype=np.int64) != WHOLE).any():
-                raise self._wrong(f"shares of neighbours whose sum is not {WHOLE}")
-            self._check_rows(own, known)
+                raise section.wrong(f"shares of neighbours whose sum is not {WHOLE}")
+            _check_rows(section, own, known)
             levels.append(Level(own, neighbours, shares))
-        self._end()
+        section.end()
         return coarsest, tuple(levels)
 
-    def _check_rows(self, rows: IntArray, known: npt.NDArray[np.bool_]) -> None:
-        if not len(rows) or rows[0] < 0 or rows[-1] >= len(known) or (np.diff(rows) <= 0).any() or known[rows].any():
-            raise self._wrong("points of a level that don't ascend, or are in two, expected each once")
-        known[rows] = True
-
     def _modes(self, found: BasisContent) -> tuple[float, npt.NDArray[np.int16]]:
-        self._open(MODES)
-        count, step = struct.unpack("<Hf", self._take(6))
+        section = self._open(MODES)
+        count, step = struct.unpack("<Hf", section.take(6))
         points = len(found.places)
         if not 0 < step <= 1e3 or not count:
-            raise self._wrong(f"{count} modes in steps of {step:g} mm, expected some in steps above 0, at most 1,000")
-        low, high = np.frombuffer(self._take(6 * count * points), np.uint8).reshape(2, 3 * count, points)
-        self._end()
+            raise section.wrong(f"{count} modes in steps of {step:g} mm, expected some in steps above 0, at most 1,000")
+        low, high = np.frombuffer(section.take(6 * count * points), np.uint8).reshape(2, 3 * count, points)
+        section.end()
         folded = np.ascontiguousarray(low.T).astype(np.uint16)
         folded |= np.ascontiguousarray(high.T).astype(np.uint16) << 8
         rest = (folded >> 1).view(np.int16) ^ -(folded & 1).view(np.int16)  # (n, 3 k)
@@ -344,70 +328,51 @@ class _Reader:
         return step, np.ascontiguousarray(columns.T).reshape(count, 3, points)
 
     def _parts(self, points: int) -> tuple[RigidRows, ...]:
-        self._open(PARTS)
+        section = self._open(PARTS)
         parts: list[RigidRows] = []
-        while self._at < len(self._data):
+        while section.left:
             if len(parts) == MOST_PARTS:
-                raise self._wrong(f"more than {MOST_PARTS} parts")
-            with_modes, count = struct.unpack("<BH", self._take(3))
-            runs = self._numbers("<u4", 2 * count).reshape(count, 2).astype(np.int64)
+                raise section.wrong(f"more than {MOST_PARTS} parts")
+            with_modes, count = struct.unpack("<BH", section.take(3))
+            runs = section.numbers("<u4", 2 * count).reshape(count, 2).astype(np.int64)
             if with_modes > 1 or not count or (runs[:, 0] >= runs[:, 1]).any() or (np.diff(runs.ravel()) < 0).any():
-                raise self._wrong("runs of a part that don't ascend, expected each point once")
+                raise section.wrong("runs of a part that don't ascend, expected each point once")
             if runs[-1, 1] > points:
-                raise self._wrong(f"points to {runs[-1, 1]}, expected at most {points}")
+                raise section.wrong(f"points to {runs[-1, 1]}, expected at most {points}")
             parts.append(RigidRows(np.concatenate([np.arange(*run) for run in runs]), bool(with_modes)))
         return tuple(parts)
 
     def _joints(self, points: int) -> tuple[JointPlace, ...]:
-        self._open(JOINTS)
+        section = self._open(JOINTS)
         joints = []
-        while self._at < len(self._data):
-            path = self._text(self._take(self._take(1)[0]))
-            count = self._take(1)[0]
-            rows, shares = self._numbers("<u4", count).astype(np.int64), self._numbers("<f4", count)
+        while section.left:
+            path = section.text(section.take(section.take(1)[0]))
+            count = section.take(1)[0]
+            rows, shares = section.numbers("<u4", count).astype(np.int64), section.numbers("<f4", count)
             if not count or rows.max() >= points or not np.isfinite(shares).all():
-                raise self._wrong(f"joint '{path}' of points that are not there, expected at most {points}")
+                raise section.wrong(f"joint '{path}' of points that are not there, expected at most {points}")
             joints.append(JointPlace(path, rows, shares.astype(np.float64)))
         return tuple(joints)
 
     def _identity_joints(self, points: int) -> JointWeights:
-        self._open(IDENTITY_JOINTS)
-        joints, each, first, count = struct.unpack("<BBII", self._take(10))
+        section = self._open(IDENTITY_JOINTS)
+        joints, each, first, count = struct.unpack("<BBII", section.take(10))
         if not joints or not each or not count or first + count > points:
-            raise self._wrong(f"{joints} joints, {each} a point, points {first} to {first + count}, of {points}")
-        places = self._numbers("<f4", 3 * joints).reshape(joints, 3)
-        indices, weights = (self._numbers("u1", each * count).reshape(each, count).T for _ in range(2))
-        self._end()
+            raise section.wrong(f"{joints} joints, {each} a point, points {first} to {first + count}, of {points}")
+        places = section.numbers("<f4", 3 * joints).reshape(joints, 3)
+        indices, weights = (section.numbers("u1", each * count).reshape(each, count).T for _ in range(2))
+        section.end()
         if not (np.abs(places) <= _FARTHEST).all() or indices.max() >= joints:
-            raise self._wrong(f"places or joints of points that are not there, expected joints below {joints}")
+            raise section.wrong(f"places or joints of points that are not there, expected joints below {joints}")
         if (weights.sum(axis=1, dtype=np.int64) != FULL).any():
-            raise self._wrong(f"weights of a point whose sum is not {FULL}")
+            raise section.wrong(f"weights of a point whose sum is not {FULL}")
         return JointWeights(first, places, indices, weights)
 
-    def _open(self, kind: int) -> None:
-        self._kind, self._data, self._at = kind, self._sections[kind], 0
+    def _open(self, kind: int) -> SectionBytes:
+        return SectionBytes(kind, self._sections[kind], self._where)
 
-    def _take(self, count: int) -> bytes:
-        if count > len(self._data) - self._at:
-            raise self._wrong(f"{len(self._data)} bytes, expected {count} after {self._at}")
-        self._at += count
-        return self._data[self._at - count : self._at]
 
-    def _numbers(self, kind: str, count: int) -> npt.NDArray[Any]:
-        return np.frombuffer(self._take(count * np.dtype(kind).itemsize), kind)
-
-    def _planes(self, count: int, planes: int) -> IntArray:
-        return unfolded(np.frombuffer(self._take(count * planes), np.uint8).reshape(planes, count))
-
-    def _text(self, data: bytes) -> str:
-        try:
-            return data.decode()
-        except UnicodeDecodeError:
-            raise self._wrong("a name that is no UTF-8") from None
-
-    def _end(self) -> None:
-        if self._at != len(self._data):
-            raise self._wrong(f"{len(self._data)} bytes, expected {self._at}")
-
-    def _wrong(self, what: str) -> InputError:
-        return InputError(f"{self._where} -> section of kind {self._kind}", what)
+def _check_rows(section: SectionBytes, rows: IntArray, known: npt.NDArray[np.bool_]) -> None:
+    if not len(rows) or rows[0] < 0 or rows[-1] >= len(known) or (np.diff(rows) <= 0).any() or known[rows].any():
+        raise section.wrong("points of a level that don't ascend, or are in two, expected each once")
+    known[rows] = True

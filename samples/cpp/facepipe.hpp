@@ -1,11 +1,12 @@
 // Persons (.fpb) on their basis (.fpbasis), rebuilt on a device: one header of C++17 without dependencies.
 //
-// Written from docs/files.md, "A person", "A basis" and "Bone coefficients". Lengths are millimetres, Y is up. Every
+// Written from docs/files.md, "A person", "A basis", "Lids", "Bone coefficients". Millimetres, Y is up. Every
 // file may be hostile: counts are checked before memory is taken, and whatever is wrong is one Error of one line.
 //
 //   facepipe::Basis basis = facepipe::read_basis(facepipe::read_file("head.fpbasis"), "head.fpbasis");
 //   facepipe::Person person = facepipe::read_person(facepipe::read_file("me.fpb"), "me.fpb");
 //   facepipe::Rebuilt face = facepipe::rebuild(basis, person, "me.fpb");
+//   for (const facepipe::LidShape& shape : facepipe::fitted_lids(basis, face, "me.fpb")) ...
 //
 // What it leaves out: SHA-256. The digest in a basis's header is taken as its name; zlib's checksum finds damage.
 
@@ -49,6 +50,8 @@ constexpr int kFull = 255;                // of a point's weights, in sum
 constexpr double kLargestGrowth = 3.0;    // logarithm of a scale
 constexpr double kRoundedTurn = 1.002;    // squares of a half turn in float16
 constexpr double kFinerSteps = 1.15;      // of each coarser level
+constexpr std::size_t kRings = 13, kMargin = 4;  // of lids, and the last one of the margin
+constexpr std::size_t kWays = 7;                 // shapes of lids, eyeLookDown at a half among them
 
 struct Mesh {
   std::string name;
@@ -83,6 +86,30 @@ struct IdentityJoints {
   std::size_t count() const { return places.size() / 3; }
 };
 
+// An eye; the right one is the mirror image of itself.
+struct LidEye {
+  std::vector<std::uint32_t> lids, shell;    // points of lids, and of the eyeball's outside
+  std::uint32_t first, after;                // points of the eyeball
+  std::size_t joints[2];                     // which carry the upper lid and the lower
+  std::vector<double> shares;                // of these for each point of lids
+  double centre[3];                          // of the mean's eyeball, millimetres
+  std::vector<double> balls, stretches;      // of each slider: what the eyeball and the lids' joints do
+  std::vector<double> ends, ways;              // of each slider, and of kWays shapes, x y z of each point of lids
+  std::vector<std::array<double, 4>> outside;  // of the shell: direction from the centre, millimetres; by y
+};
+
+// What blinks, looks and squints are fitted by; without rings there is none of it.
+struct Lids {
+  std::vector<std::uint8_t> rings, upper;
+  std::size_t corners[2] = {}, sliders = 0, cells = 0;
+  std::vector<std::uint8_t> links;     // points beside each
+  std::vector<std::uint32_t> starts;   // of the rows beside each
+  std::vector<std::uint16_t> beside;   // those that are of lids
+  std::vector<double> reach;           // cells x cells millimetres
+  double farthest = 0;                 // of these
+  LidEye eyes[2];
+};
+
 struct Basis {
   std::string name;
   Digest digest{};
@@ -96,6 +123,7 @@ struct Basis {
   std::vector<Part> parts;
   std::vector<Joint> joints;
   IdentityJoints identity;
+  Lids lids;
 
   std::size_t points() const { return mean.size() / 3; }
 };
@@ -119,6 +147,14 @@ struct Person {
 struct Rebuilt {
   std::vector<double> points;  // x y z of point after point, of all meshes
   std::vector<double> joints;  // x y z of each joint: inverse binds are translations by the negative of it
+};
+
+// A shape of a person at a weight, 1 the last, others inbetweens.
+struct LidShape {
+  std::string name;  // as ARKit has it
+  double weight;
+  std::size_t eye;              // 0 left, 1 right: whose points of lids `basis.lids` has
+  std::vector<double> offsets;  // x y z of each of the eye's points of lids, millimetres
 };
 
 namespace detail {
@@ -430,7 +466,7 @@ class BasisReader {
  public:
   BasisReader(const Bytes& body, std::string where) : where_(std::move(where)) {
     for (const Section& one : sections(body.data(), body.size(), where_)) {
-      if (one.kind <= 8)
+      if (one.kind <= 9)
         known_[one.kind] = one;
       else if (one.required)
         throw Error(where_, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
@@ -447,6 +483,7 @@ class BasisReader {
     if (known_[6].data) read_parts();
     if (known_[7].data) read_joints();
     if (known_[8].data) read_identity_joints();
+    if (known_[9].data) read_lids();
     return std::move(made_);
   }
 
@@ -652,8 +689,106 @@ class BasisReader {
     }
   }
 
+  // Numbers of four planes, as sums of `count` one after another, in millimetres.
+  static std::vector<double> sums(Reader& reader, std::size_t count, std::size_t times, double grid) {
+    const std::vector<std::int64_t> changes = reader.planes(count * times);
+    std::vector<double> found(changes.size());
+    std::int64_t place = 0;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+      place = i % count ? place + changes[i] : changes[i];
+      found[i] = static_cast<double>(place) / grid;
+      if (!(std::abs(found[i]) <= double{kFarthest})) reader.wrong("lids or eyeballs above 100,000 mm");
+    }
+    return found;
+  }
+
+  // The same of points: all x, then y, then z, as x y z of each.
+  static std::vector<double> ways(Reader& reader, std::size_t count, std::size_t times) {
+    const std::vector<double> found = sums(reader, count, 3 * times, 100);
+    std::vector<double> turned(found.size());
+    for (std::size_t i = 0; i < found.size(); ++i)
+      turned[i / (3 * count) * 3 * count + i % count * 3 + i / count % 3] = found[i];
+    return turned;
+  }
+
+  void read_lids() {
+    Reader reader = open(9);
+    Lids& lids = made_.lids;
+    const std::size_t count = reader.two();
+    lids.sliders = reader.byte(), lids.cells = reader.two();
+    for (std::size_t& corner : lids.corners) corner = reader.two();
+    const std::uint8_t* bytes = reader.take(count, 4);
+    lids.rings.assign(bytes, bytes + count), lids.upper.assign(bytes + count, bytes + 2 * count);
+    lids.links.assign(bytes + 2 * count, bytes + 3 * count);
+    bool sides[kRings][2] = {};
+    lids.starts.push_back(0);
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::uint8_t inside = bytes[3 * count + i];
+      if (lids.rings[i] >= kRings || lids.upper[i] > 1) reader.wrong("rings of lids that are not there");
+      if (inside > lids.links[i] || !lids.links[i]) reader.wrong("points of lids that nothing is beside");
+      sides[lids.rings[i]][lids.upper[i]] = true;
+      lids.starts.push_back(lids.starts.back() + inside);
+    }
+    for (std::size_t ring = 0; ring <= kMargin; ++ring)
+      if (!sides[ring][0] || !sides[ring][1]) reader.wrong("rings 0 to 4, expected points above and below in each");
+    if (std::max(lids.corners[0], lids.corners[1]) >= count || lids.corners[0] == lids.corners[1])
+      reader.wrong("corners of an eye that are not there");
+    for (std::size_t i = 0; i < lids.starts.back(); ++i) {
+      lids.beside.push_back(static_cast<std::uint16_t>(reader.two()));
+      if (lids.beside[i] >= count) reader.wrong("points beside others that are not there");
+    }
+    if (!lids.sliders || lids.cells < 2 || lids.cells > 1024) reader.wrong("expected sliders, and 2 to 1,024 cells");
+    lids.reach = sums(reader, lids.cells * lids.cells, 1, 10000);
+    lids.farthest = *std::max_element(lids.reach.begin(), lids.reach.end());
+    for (int number = 0; number < 2; ++number) read_eye(reader, count, lids.eyes[number], number ? -1.0 : 1.0);
+    reader.end();
+  }
+
+  void read_eye(Reader& reader, std::size_t count, LidEye& eye, double mirror) {
+    eye.first = reader.four(), eye.after = reader.four();
+    for (std::size_t& joint : eye.joints) joint = reader.two();
+    const std::size_t outside = reader.two(), sliders = made_.lids.sliders;
+    const auto points = [&](std::size_t size) {
+      const std::uint8_t* found = reader.take(size, 4);
+      std::vector<std::uint32_t> rows;
+      for (std::size_t i = 0; i < size; ++i) rows.push_back(little32(found + 4 * i));
+      return rows;
+    };
+    eye.lids = points(count), eye.shell = points(outside);
+    bool there = eye.first < eye.after && eye.after <= points_ && outside >= 3;
+    for (const std::vector<std::uint32_t>* rows : {&eye.lids, &eye.shell})
+      for (std::uint32_t row : *rows) there = there && row < points_;
+    if (!there || std::max(eye.joints[0], eye.joints[1]) >= made_.joints.size())
+      reader.wrong("points or joints of an eye that are not there");
+    const std::uint8_t* shares = reader.take(count, 4);
+    for (std::size_t i = 0; i < 4 * count; i += 2) eye.shares.push_back((shares[i] | shares[i + 1] << 8) / 65535.0);
+    const auto numbers = [&](std::size_t size) {
+      std::vector<double> found;
+      for (std::size_t i = 0; i < size; ++i) {
+        found.push_back(double{float32(reader.take(4))});
+        if (!(std::abs(found[i]) <= double{kFarthest})) reader.wrong("an eye above 100,000 mm");
+      }
+      return found;
+    };
+    const std::vector<double> centre = numbers(3);
+    std::copy(centre.begin(), centre.end(), eye.centre);
+    eye.balls = numbers(4 * sliders), eye.stretches = numbers(2 * sliders);
+    eye.ends = ways(reader, count, sliders), eye.ways = ways(reader, count, kWays);
+    for (std::uint32_t row : eye.shell) {
+      double way[3], square = 0;
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        way[axis] = (axis ? 1.0 : mirror) * made_.mean[3 * std::size_t{row} + axis] - eye.centre[axis];
+        square += way[axis] * way[axis];
+      }
+      const double length = std::sqrt(square);
+      if (!(length > 0)) reader.wrong("an eyeball's outside in its middle");
+      eye.outside.push_back({way[0] / length, way[1] / length, way[2] / length, length});
+    }
+    std::stable_sort(eye.outside.begin(), eye.outside.end(), [](const auto& a, const auto& b) { return a[1] < b[1]; });
+  }
+
   std::string where_;
-  Section known_[9] = {};
+  Section known_[10] = {};
   std::uint32_t points_ = 0;
   Basis made_;
 };
@@ -1077,6 +1212,417 @@ inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::stri
   }
   std::vector<double> joints = joint_places(basis, points);
   return {std::move(points), std::move(joints)};
+}
+
+namespace detail {
+
+using Vector = std::array<double, 3>;
+
+inline Vector added(const Vector& a, const Vector& b, double times = 1) {
+  return {a[0] + times * b[0], a[1] + times * b[1], a[2] + times * b[2]};
+}
+inline Vector scaled(double times, const Vector& a) { return {times * a[0], times * a[1], times * a[2]}; }
+inline double dot(const Vector& a, const Vector& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+inline double length(const Vector& a) { return std::sqrt(dot(a, a)); }
+
+// log(1 + e^x)
+inline double soft(double x) { return std::max(x, 0.0) + std::log1p(std::exp(-std::abs(x))); }
+
+// Values between known ones at ascending places; beyond these the last.
+inline Vector between(double at, const std::vector<double>& places, const std::vector<Vector>& values) {
+  const auto beyond = std::upper_bound(places.begin(), places.end(), at);
+  const std::size_t next = static_cast<std::size_t>(beyond - places.begin());
+  if (!next || next == places.size()) return values[next ? next - 1 : 0];
+  const double share = (at - places[next - 1]) / (places[next] - places[next - 1]);
+  return added(values[next - 1], added(values[next], values[next - 1], -1), share);
+}
+
+// The mean of points and their squares about it, by axes.
+struct Spread {
+  Vector middle{}, squares{};
+
+  explicit Spread(const std::vector<Vector>& points) {
+    for (const Vector& one : points) middle = added(middle, one, 1.0 / static_cast<double>(points.size()));
+    for (const Vector& one : points)
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        squares[axis] += (one[axis] - middle[axis]) * (one[axis] - middle[axis]) / static_cast<double>(points.size());
+  }
+};
+
+// Lids of an eye that slide over the eyeball: docs/files.md, "Lids". Lengths are millimetres. The right eye is fitted
+// as its mirror image.
+class EyeFit {
+ public:
+  using Ways = std::vector<Vector>;
+
+  EyeFit(const Basis& basis, const Rebuilt& person, std::size_t number)
+      : tables_(basis.lids),
+        eye_(basis.lids.eyes[number]),
+        mirror_(number ? -1 : 1),
+        ball_(ball(person.points)),
+        mean_(ball(basis.mean)) {
+    for (std::uint32_t row : eye_.lids) {
+      lids_.push_back(place(person.points, row));
+      average_.push_back(place(basis.mean, row));
+    }
+    for (std::size_t i = 0; i < 2; ++i) heights_[i] = person.joints[3 * eye_.joints[i] + 1];
+  }
+
+  // How far points of the eyeball are from its middle, of the person and of the mean.
+  double size() const { return deviation(ball_); }
+  double mean_size() const { return deviation(mean_); }
+
+  // Blinks at a quarter, a half, three quarters and 1, with eyeballs of a scale.
+  std::vector<Ways> blinks(double scale) {
+    fit_ball(scale);
+    const Ways start = lifted(lids_), way = ways(0);
+    Ways end = start;
+    for (std::size_t i = 0; i < end.size(); ++i) end[i] = added(start[i], way[i]);
+    end = lifted(met(lifted(end)));
+    std::vector<Ways> found;
+    for (double share : {0.25, 0.5, 0.75, 1.0}) {
+      found.push_back(share < 1 ? lifted(arced(start, end, share)) : end);
+      for (std::size_t i = 0; i < end.size(); ++i) found.back()[i] = added(found.back()[i], start[i], -1);
+    }
+    return found;
+  }
+
+  // Looks up, down at a half, down, in and out, and the squint.
+  std::vector<Ways> looks() {
+    double sizes[2] = {};
+    for (std::size_t axis = 0; axis < 3; ++axis)
+      sizes[0] += std::sqrt(ball_.squares[axis]), sizes[1] += std::sqrt(mean_.squares[axis]);
+    scale_ = sizes[0] / sizes[1];
+    centre_ = added(ball_.middle, added(mean_.middle, centre_of(), -1), -scale_);
+    const Turn ahead = turn(0, 0);
+    const Ways squint = ways(6);
+    std::vector<double> most_of_squint = larger(need(squint, ahead, kOver), need_at_ends(squint, ahead));
+    std::vector<Ways> found;
+    for (std::size_t look = 0; look < 4; ++look) {
+      static constexpr double kAngles[4][2] = {{-0.5, 0}, {0.5, 0}, {0, -0.5}, {0, 0.5}};  // up, down, in, out
+      static constexpr std::size_t kOwn[4] = {1, 3, 4, 5};
+      const bool has_middle = look == 1;
+      const Turn turned = turn(kAngles[look][0], kAngles[look][1]);
+      const Turn half = turn(kAngles[look][0] / 2, kAngles[look][1] / 2);
+      const Ways own = ways(kOwn[look]);
+      Ways middle = has_middle ? ways(2) : own;
+      if (!has_middle)
+        for (Vector& one : middle) one = scaled(0.5, one);
+      std::vector<double> most = larger(need(own, ahead, kOver), need(own, turned, kOver));
+      most = larger(most, need_at_ends(own, turned));
+      std::vector<double> at_half = need(middle, half, kOver);
+      if (!has_middle)
+        for (std::size_t i = 0; i < most.size(); ++i) most[i] = std::max(most[i], 2 * at_half[i]);
+      const std::vector<double> push = spread(most);
+      if (has_middle) {
+        for (std::size_t i = 0; i < most.size(); ++i) at_half[i] = std::max(at_half[i], 0.5 * push[i]);
+        found.push_back(out(middle, spread(at_half)));
+      }
+      found.push_back(out(own, push));
+      Ways both = squint;
+      for (std::size_t i = 0; i < both.size(); ++i) both[i] = added(both[i], found.back()[i]);
+      most_of_squint = larger(most_of_squint, need(both, turned, kOverAtEnds));
+    }
+    found.push_back(out(squint, spread(most_of_squint)));
+    return found;
+  }
+
+  // Offsets as they are on the side that the eye is.
+  std::vector<double> back(const Ways& ways) const {
+    std::vector<double> found;
+    for (const Vector& one : ways) found.insert(found.end(), {mirror_ * one[0], one[1], one[2]});
+    return found;
+  }
+
+ private:
+  using Turn = std::array<Vector, 3>;
+
+  static constexpr double kFar = -90;       // below all that lies over an eyeball
+  static constexpr double kNothing = -1.5;  // less is no push: e^-15
+  // by ring: millimetres over the eyeball in a blink, in a look, and at the ends of sliders; of the margin's motion
+  static constexpr double kLeast[kRings] = {-1, 0, 0.25, 0.8, 1.4, 1.7, 1.7, 1.7, 1.7, 1.5, 1, -1, -1};
+  static constexpr double kOver[kRings] = {kFar, 0, 0.2, 0.6, 1, 1.2, 1.2, 1.2, 1.2, 1.2, 1, kFar, kFar};
+  static constexpr double kOverAtEnds[kRings] = {kFar, -1, -0.5, 0.1, 0.2, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3};
+  static constexpr double kFollow[kRings] = {0.6, 0.95, 1, 1, 1, 0.95, 0.81, 0.6, 0.42, 0.27, 0.17, 0.09, 0.03};
+
+  Vector place(const std::vector<double>& points, std::size_t row) const {
+    return {mirror_ * points[3 * row], points[3 * row + 1], points[3 * row + 2]};
+  }
+
+  Spread ball(const std::vector<double>& points) const {
+    std::vector<Vector> found;
+    for (std::size_t row = eye_.first; row < eye_.after; ++row) found.push_back(place(points, row));
+    return Spread(found);
+  }
+
+  static double deviation(const Spread& ball) {
+    return std::sqrt((ball.squares[0] + ball.squares[1] + ball.squares[2]) / 3);
+  }
+
+  Vector centre_of() const { return {eye_.centre[0], eye_.centre[1], eye_.centre[2]}; }
+
+  Ways ways(std::size_t number) const {
+    Ways found(lids_.size());
+    const double* own = &eye_.ways[3 * number * found.size()];
+    for (std::size_t i = 0; i < found.size(); ++i) found[i] = {own[3 * i], own[3 * i + 1], own[3 * i + 2]};
+    return found;
+  }
+
+  // How far the mean's eyeball reaches in a direction: the mean of the nearest three points of its outside.
+  double reach(const Vector& way) const {
+    const auto& points = eye_.outside;
+    double best[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, radii[3] = {};
+    const auto take = [&](const std::array<double, 4>& point) {  // whether nearer ones may follow
+      const double high = point[1] - way[1];
+      if (!(high * high < best[2])) return false;
+      const double x = point[0] - way[0], z = point[2] - way[2], square = high * high + x * x + z * z;
+      if (!(square < best[2])) return true;
+      int rank = 2;
+      for (; rank && square < best[rank - 1]; --rank) best[rank] = best[rank - 1], radii[rank] = radii[rank - 1];
+      best[rank] = square, radii[rank] = point[3];
+      return true;
+    };
+    const auto start = std::lower_bound(points.begin(), points.end(), way[1],
+                                        [](const std::array<double, 4>& point, double y) { return point[1] < y; });
+    for (auto up = start; up != points.end() && take(*up);) ++up;
+    for (auto down = start; down != points.begin() && take(*(down - 1));) --down;
+    double sum = 0, total = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double weight = 1 / (std::sqrt(best[i]) + 1e-3);
+      sum += weight * radii[i], total += weight;
+    }
+    return sum / total;
+  }
+
+  // How far a point lies over the eyeball, and in which direction.
+  double above(const Vector& point, Vector& way) const {
+    way = added(point, centre_, -1);
+    const double far = length(way);
+    way = scaled(1 / far, way);
+    return far - scale_ * reach(way);
+  }
+
+  Ways lifted(const Ways& lids) const {
+    Ways found = lids;
+    for (std::size_t i = 0; i < lids.size(); ++i) {
+      const double least = kLeast[tables_.rings[i]];
+      if (least < 0) continue;
+      Vector way;
+      const double height = above(lids[i], way);
+      found[i] = added(lids[i], way, 0.15 * soft((least - height) / 0.15));
+    }
+    return found;
+  }
+
+  // Move the eyeball a little, so that lids lie on it as the mean's do on theirs: six steps of Gauss and Newton.
+  void fit_ball(double scale) {
+    std::vector<std::size_t> touching;
+    for (std::size_t i = 0; i < lids_.size(); ++i)
+      if (tables_.rings[i] == 2 || tables_.rings[i] == 3) touching.push_back(i);
+    std::vector<double> goal;
+    Vector way;
+    centre_ = centre_of(), scale_ = 1;
+    for (std::size_t i : touching) goal.push_back(above(average_[i], way));
+    const Vector start = added(centre_of(), added(ball_.middle, mean_.middle, -1));
+    centre_ = start, scale_ = scale;
+    for (int step = 0; step < 6; ++step) {
+      const Vector drawn = added(start, centre_, -1);
+      double rows[3][4] = {{1, 0, 0, drawn[0]}, {0, 1, 0, drawn[1]}, {0, 0, 1, drawn[2]}};
+      for (std::size_t i = 0; i < touching.size(); ++i) {
+        const double miss = above(lids_[touching[i]], way) - goal[i], square = miss < 0 ? 9 : 1;
+        for (std::size_t a = 0; a < 3; ++a) {
+          for (std::size_t b = 0; b < 3; ++b) rows[a][b] += square * way[a] * way[b];
+          rows[a][3] += square * way[a] * miss;
+        }
+      }
+      centre_ = added(centre_, solved(rows));
+    }
+  }
+
+  // Of a symmetric positive definite matrix and a column beside it.
+  static Vector solved(double (&rows)[3][4]) {
+    for (int i = 0; i < 3; ++i)
+      for (int k = i + 1; k < 3; ++k)
+        for (int column = 3; column >= i; --column) rows[k][column] -= rows[k][i] / rows[i][i] * rows[i][column];
+    Vector found{};
+    for (int i = 2; i >= 0; --i) {
+      double sum = rows[i][3];
+      for (int k = i + 1; k < 3; ++k) sum -= rows[i][k] * found[static_cast<std::size_t>(k)];
+      found[static_cast<std::size_t>(i)] = sum / rows[i][i];
+    }
+    return found;
+  }
+
+  // Lids with the upper margin brought onto the lower one, and the lid drawn after it.
+  Ways met(const Ways& lids) const {
+    const Vector inner = lids[tables_.corners[0]], across = added(lids[tables_.corners[1]], inner, -1);
+    const Vector axis = scaled(1 / dot(across, across), across);
+    Vector down = {axis[1], -axis[0], 0};
+    down = scaled((down[1] > 0 ? -1 : 1) / length(down), down);
+    std::vector<double> along;
+    for (const Vector& one : lids) {
+      along.push_back(dot(added(one, inner, -1), axis));
+      if (!std::isfinite(along.back())) throw Error("lids", "an eye without width, expected corners that are apart");
+    }
+    Ways found = lids;
+    for (std::size_t ring = 0; ring < kRings; ++ring) {
+      std::vector<std::size_t> upper = rows(std::min(ring, kMargin), 1), lower = rows(std::min(ring, kMargin), 0);
+      std::vector<double> at[2];
+      Ways goals, moves;
+      for (std::vector<std::size_t>* side : {&upper, &lower}) {
+        std::stable_sort(side->begin(), side->end(), [&](std::size_t a, std::size_t b) { return along[a] < along[b]; });
+        for (std::size_t i : *side) at[side == &lower].push_back(along[i]);
+      }
+      for (std::size_t i : lower) goals.push_back(lids[i]);
+      for (std::size_t i : upper) {
+        const double end = std::min(along[i] - at[1].front(), at[1].back() - along[i]);
+        const double taper = std::min(std::max(end / 0.04, 0.0), 1.0);
+        const Vector way = scaled(taper, added(between(along[i], at[1], goals), lids[i], -1));
+        moves.push_back(added(added(way, down, 0.4 * taper), across, -dot(way, axis)));
+      }
+      for (std::size_t i : ring <= kMargin ? upper : rows(ring, 1))
+        found[i] = added(found[i], between(along[i], at[0], moves), kFollow[ring]);
+    }
+    return found;
+  }
+
+  std::vector<std::size_t> rows(std::size_t ring, int upper) const {
+    std::vector<std::size_t> found;
+    for (std::size_t i = 0; i < lids_.size(); ++i)
+      if (tables_.rings[i] == ring && tables_.upper[i] == upper) found.push_back(i);
+    return found;
+  }
+
+  // Points a share of their way on arcs around the eyeball's middle.
+  Ways arced(const Ways& start, const Ways& end, double share) const {
+    Ways found;
+    for (std::size_t i = 0; i < start.size(); ++i) {
+      const Vector from = added(start[i], centre_, -1), to = added(end[i], centre_, -1);
+      const double first = length(from), last = length(to);
+      const Vector a = scaled(1 / first, from), b = scaled(1 / last, to);
+      const Vector cross = {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+      const double angle = std::max(std::atan2(length(cross), dot(a, b)), 1e-6);
+      const double far = ((1 - share) * first + share * last) / std::sin(angle);
+      found.push_back(added(added(centre_, a, far * std::sin((1 - share) * angle)), b, far * std::sin(share * angle)));
+    }
+    return found;
+  }
+
+  static Turn turn(double x, double y) {  // about x, after that about y
+    const double a = std::cos(x), b = std::sin(x), c = std::cos(y), d = std::sin(y);
+    return {Vector{c, 0, d}, Vector{b * d, a, -b * c}, Vector{-a * d, b, a * c}};
+  }
+
+  // How far an offset from the middle of a turned eyeball of a scale lacks to lie over it.
+  double lack(const Vector& offset, const Turn& turn, double scale, double least) const {
+    const double far = length(offset);
+    double way[3], where[2];
+    for (std::size_t axis = 0; axis < 3; ++axis)
+      way[axis] = offset[0] * turn[0][axis] + offset[1] * turn[1][axis] + offset[2] * turn[2][axis];
+    const std::size_t cells = tables_.cells;
+    const double most = static_cast<double>(cells) - 1, flat = 1 / (far + std::max(way[2], -0.5 * far));
+    for (int axis = 0; axis < 2; ++axis)
+      where[axis] = std::min(std::max(0.0, (way[axis] * flat + 1.5) * (most / 3)), most - 0.001);
+    const std::size_t column = static_cast<std::size_t>(where[0]), row = static_cast<std::size_t>(where[1]);
+    const double s = where[0] - static_cast<double>(column), t = where[1] - static_cast<double>(row);
+    const double *low = &tables_.reach[row * cells + column], *high = low + cells;
+    return least + scale * ((1 - t) * ((1 - s) * low[0] + s * low[1]) + t * ((1 - s) * high[0] + s * high[1])) - far;
+  }
+
+  std::vector<double> need(const Ways& ways, const Turn& turn, const double (&least)[kRings]) const {
+    std::vector<double> found(ways.size());
+    for (std::size_t i = 0; i < ways.size(); ++i)
+      found[i] = lack(added(added(lids_[i], ways[i]), centre_, -1), turn, scale_, least[tables_.rings[i]]);
+    return found;
+  }
+
+  // The most that lids lack at an end of a slider. What lies as far above as no eyeball reaches is not looked up.
+  std::vector<double> need_at_ends(const Ways& ways, const Turn& turn) const {
+    std::vector<double> found(ways.size(), kNothing);
+    for (std::size_t slider = 0; slider < 2 * tables_.sliders; ++slider) {
+      const double sign = slider % 2 ? 1 : -1;
+      const double *ball = &eye_.balls[slider / 2 * 4], *stretch = &eye_.stretches[slider / 2 * 2];
+      const double* ends = &eye_.ends[slider / 2 * 3 * ways.size()];
+      const Vector middle = added(centre_, Vector{ball[0], ball[1], ball[2]}, sign);
+      for (std::size_t i = 0; i < ways.size(); ++i) {
+        Vector moved = added(added(lids_[i], ways[i]), Vector{ends[3 * i], ends[3 * i + 1], ends[3 * i + 2]}, sign);
+        const double height = moved[1];
+        for (std::size_t lid = 0; lid < 2; ++lid)
+          moved[1] += eye_.shares[lid * ways.size() + i] * sign * (stretch[0] + stretch[1] * (height - heights_[lid]));
+        const double least = kOverAtEnds[tables_.rings[i]], scale = scale_ * (1 + sign * ball[3]);
+        const Vector offset = added(moved, middle, -1);
+        const double far = least + scale * tables_.farthest - found[i];
+        if (far > 0 && dot(offset, offset) < far * far) found[i] = std::max(found[i], lack(offset, turn, scale, least));
+      }
+    }
+    return found;
+  }
+
+  static std::vector<double> larger(std::vector<double> one, const std::vector<double>& other) {
+    for (std::size_t i = 0; i < one.size(); ++i) one[i] = std::max(one[i], other[i]);
+    return one;
+  }
+
+  // Pushes of at least the need, as smooth as a skin drawn over them.
+  std::vector<double> spread(const std::vector<double>& need) const {
+    std::vector<double> least;
+    for (double one : need) least.push_back(0.1 * soft(one / 0.1));
+    std::vector<double> push = least, next = least;
+    for (int round = 0; round < 12; ++round) {
+      for (std::size_t i = 0; i < push.size(); ++i) {
+        double sum = 0;
+        for (std::size_t k = tables_.starts[i]; k < tables_.starts[i + 1]; ++k) sum += push[tables_.beside[k]];
+        next[i] = std::max(least[i], sum / tables_.links[i]);
+      }
+      push.swap(next);
+    }
+    return push;
+  }
+
+  Ways out(const Ways& ways, const std::vector<double>& push) const {
+    Ways found = ways;
+    for (std::size_t i = 0; i < ways.size(); ++i) {
+      const Vector offset = added(added(lids_[i], ways[i]), centre_, -1);
+      found[i] = added(ways[i], offset, push[i] / length(offset));
+    }
+    return found;
+  }
+
+  const Lids& tables_;
+  const LidEye& eye_;
+  const double mirror_;
+  Spread ball_, mean_;
+  Ways lids_, average_;
+  double heights_[2];
+  Vector centre_{};
+  double scale_ = 1;
+};
+
+}  // namespace detail
+
+// Blinks, looks and squints that fit a person's eyeballs, in place of those of the head that everyone has. None where
+// the basis has no tables of lids. Throws Error where an eye has no width.
+inline std::vector<LidShape> fitted_lids(const Basis& basis, const Rebuilt& person, const std::string& where) {
+  std::vector<LidShape> found;
+  if (basis.lids.rings.empty()) return found;
+  detail::EyeFit eyes[2] = {{basis, person, 0}, {basis, person, 1}};
+  const double scale = (eyes[0].size() + eyes[1].size()) / (eyes[0].mean_size() + eyes[1].mean_size());
+  for (std::size_t number = 0; number < 2; ++number) {
+    static const std::pair<const char*, double> kShapes[] = {
+        {"eyeBlink", 0.25}, {"eyeBlink", 0.5},    {"eyeBlink", 0.75}, {"eyeBlink", 1},   {"eyeLookUp", 1},
+        {"eyeLookDown", 0.5}, {"eyeLookDown", 1}, {"eyeLookIn", 1},   {"eyeLookOut", 1}, {"eyeSquint", 1}};
+    std::vector<detail::EyeFit::Ways> ways;
+    try {
+      ways = eyes[number].blinks(scale);
+    } catch (const Error& error) {
+      throw Error(where, error.what());
+    }
+    for (detail::EyeFit::Ways& one : eyes[number].looks()) ways.push_back(std::move(one));
+    for (std::size_t i = 0; i < ways.size(); ++i)
+      found.push_back({std::string(kShapes[i].first) + (number ? "Right" : "Left"), kShapes[i].second, number,
+                       eyes[number].back(ways[i])});
+  }
+  return found;
 }
 
 // Bone coefficients: of m joints in each of T frames, relative to rest.

@@ -1,13 +1,14 @@
 // Persons (.fpb) on their basis (.fpbasis), rebuilt on a device: one file of C# 7.3 without unsafe code or packages,
 // for Unity and others.
 //
-// Written from docs/files.md, "A person" and "A basis". Lengths are millimetres, Y is up, axes are right-handed:
+// Written from docs/files.md, "A person", "A basis" and "Lids". Lengths are millimetres, Y is up, axes right-handed:
 // Unity's x is the negative of this one. Every file may be hostile: counts are checked before memory is taken, and
 // whatever is wrong is one FacepipeException of one line.
 //
 //   var basis = Facepipe.Basis.Read(File.ReadAllBytes("head.fpbasis"), "head.fpbasis");
 //   var person = Facepipe.Person.Read(File.ReadAllBytes("me.fpb"), "me.fpb");
 //   Facepipe.Rebuilt face = basis.Rebuild(person, "me.fpb");
+//   List<Facepipe.LidShape> shapes = basis.FittedLids(face, "me.fpb");
 //
 // What it leaves out: SHA-256. The digest in a basis's header is taken as its name; zlib's checksum finds damage.
 
@@ -65,6 +66,40 @@ namespace Facepipe
         public int Count { get { return Places.Length / 3; } }
     }
 
+    /// <summary>An eye; the right one is the mirror image of itself. Lengths are millimetres.</summary>
+    public sealed class LidEye
+    {
+        public int[] Lids, Shell; // points of lids, and of the eyeball's outside
+        public int First, After; // points of the eyeball
+        public int[] Joints; // numbers of those that carry the upper lid and the lower
+        public double[] Shares; // of these for each point of lids
+        public double[] Centre; // of the mean's eyeball
+        public double[] Balls, Stretches; // of each slider: what the eyeball and the lids' joints do
+        public double[] Ends, Ways; // of each slider, and of each shape, x y z of each point of lids
+        public double[] Outside; // of the shell, by y: direction from the centre, length
+    }
+
+    /// <summary>What blinks, looks and squints are fitted by.</summary>
+    public sealed class Lids
+    {
+        public byte[] Rings, Upper, Links; // of each point of lids; Links are the points beside each
+        public int[][] Beside; // those that are of lids
+        public int[] Corners; // rows of the inner one and the outer
+        public int Sliders, Cells;
+        public double[] Reach; // Cells x Cells
+        public double Farthest; // of these
+        public readonly LidEye[] Eyes = new LidEye[2];
+    }
+
+    /// <summary>A shape of a person at a weight, 1 the last, others inbetweens.</summary>
+    public sealed class LidShape
+    {
+        public string Name; // as ARKit has it
+        public double Weight;
+        public int[] Points; // of the basis
+        public double[] Offsets; // x y z of each, millimetres
+    }
+
     /// <summary>What a person is, in millimetres.</summary>
     public sealed class Rebuilt
     {
@@ -83,6 +118,7 @@ namespace Facepipe
     {
         public const int Body = 1 << 28, Points = 1 << 20, Grid = 1000000; // bytes, points, places in a millimetre
         public const int Sections = 64, Modes = 4096, Parts = 16, Whole = 64;
+        public const int Rings = 13, Margin = 4, Ways = 7; // of lids, the margin's last, shapes and one at a half
         public const int Steps = 127, Full = 255; // of a number of identity joints, and of a point's weights in sum
         public const double Step = 10, Farthest = 1e5; // millimetres, of identity joints
         public const double Weight = 100, Move = 1e4, Growth = 3, Turn = 1.002; // half turns round in float16
@@ -448,6 +484,7 @@ namespace Facepipe
         public readonly List<Part> Parts = new List<Part>();
         public readonly List<Joint> Joints = new List<Joint>();
         public IdentityJoints IdentityJoints = new IdentityJoints();
+        public Lids Lids; // none: lids are not fitted
 
         public int Points { get { return Mean.Length / 3; } }
 
@@ -552,6 +589,35 @@ namespace Facepipe
             return new Rebuilt { Points = points, Joints = JointPlaces(points) };
         }
 
+        /// <summary>Blinks, looks and squints that fit a person's eyeballs, in place of those of the head that everyone
+        /// has; none where the basis has no tables of lids.</summary>
+        /// <exception cref="FacepipeException">an eye without width</exception>
+        public List<LidShape> FittedLids(Rebuilt person, string where)
+        {
+            var found = new List<LidShape>();
+            if (Lids == null) return found;
+            var eyes = new[] { new EyeFit(this, person, 0), new EyeFit(this, person, 1) };
+            double scale = (eyes[0].Size + eyes[1].Size) / (eyes[0].MeanSize + eyes[1].MeanSize);
+            const string blink = "eyeBlink", down = "eyeLookDown";
+            string[] names =
+                { blink, blink, blink, blink, "eyeLookUp", down, down, "eyeLookIn", "eyeLookOut", "eyeSquint" };
+            double[] weights = { 0.25, 0.5, 0.75, 1, 1, 0.5, 1, 1, 1, 1 };
+            for (int number = 0; number < 2; number++)
+            {
+                List<double[]> ways = eyes[number].Blinks(scale, where);
+                ways.AddRange(eyes[number].Looks());
+                for (int i = 0; i < ways.Count; i++)
+                    found.Add(new LidShape
+                    {
+                        Name = names[i] + (number > 0 ? "Right" : "Left"),
+                        Weight = weights[i],
+                        Points = Lids.Eyes[number].Lids,
+                        Offsets = eyes[number].Back(ways[i]),
+                    });
+            }
+            return found;
+        }
+
         // Add what a person's identity joints make of the mean face.
         void AddJoints(Person person, double[] points)
         {
@@ -624,7 +690,7 @@ namespace Facepipe
     {
         readonly byte[] body;
         readonly string where;
-        readonly Section[] known = new Section[9];
+        readonly Section[] known = new Section[10];
         readonly Basis made = new Basis();
         int points;
 
@@ -652,6 +718,7 @@ namespace Facepipe
             if (known[6].Kind > 0) ReadParts();
             if (known[7].Kind > 0) ReadJoints();
             if (known[8].Kind > 0) ReadIdentityJoints();
+            if (known[9].Kind > 0) ReadLids();
             return made;
         }
 
@@ -893,6 +960,619 @@ namespace Facepipe
                 if (sum != Limits.Full) throw reader.Wrong("weights of a point whose sum is not 255");
             }
             made.IdentityJoints = own;
+        }
+
+        // Sums of `count` numbers one after another, in millimetres.
+        static double[] Sums(Reader reader, int count, int times, double grid)
+        {
+            long[] changes = reader.Planes((long)count * times);
+            var found = new double[changes.Length];
+            long place = 0;
+            for (int i = 0; i < found.Length; i++)
+            {
+                place = i % count > 0 ? place + changes[i] : changes[i];
+                found[i] = place / grid;
+                if (!(Math.Abs(found[i]) <= Limits.Farthest)) throw reader.Wrong("lids or eyeballs above 100,000 mm");
+            }
+            return found;
+        }
+
+        // The same of points: all x, then y, then z, as x y z of each.
+        static double[] Ways(Reader reader, int count, int times)
+        {
+            double[] found = Sums(reader, count, 3 * times, 100);
+            var turned = new double[found.Length];
+            for (int i = 0; i < found.Length; i++)
+                turned[i / (3 * count) * 3 * count + i % count * 3 + i / count % 3] = found[i];
+            return turned;
+        }
+
+        byte[] Some(Reader reader, int count)
+        {
+            var found = new byte[count];
+            Array.Copy(body, reader.Take(count), found, 0, count);
+            return found;
+        }
+
+        void ReadLids()
+        {
+            Reader reader = Open(9);
+            int count = reader.Two();
+            var lids = new Lids { Sliders = reader.Byte(), Cells = reader.Two() };
+            lids.Corners = new[] { reader.Two(), reader.Two() };
+            lids.Rings = Some(reader, count);
+            lids.Upper = Some(reader, count);
+            lids.Links = Some(reader, count);
+            byte[] inside = Some(reader, count);
+            var sides = new bool[2 * Limits.Rings];
+            for (int i = 0; i < count; i++)
+            {
+                if (lids.Rings[i] >= Limits.Rings || lids.Upper[i] > 1)
+                    throw reader.Wrong("rings of lids that are not there");
+                if (inside[i] > lids.Links[i] || lids.Links[i] == 0)
+                    throw reader.Wrong("points of lids that nothing is beside");
+                sides[2 * lids.Rings[i] + lids.Upper[i]] = true;
+            }
+            for (int side = 0; side < 2 * (Limits.Margin + 1); side++)
+                if (!sides[side]) throw reader.Wrong("rings 0 to 4, expected points above and below in each");
+            if (Math.Max(lids.Corners[0], lids.Corners[1]) >= count || lids.Corners[0] == lids.Corners[1])
+                throw reader.Wrong("corners of an eye that are not there");
+            lids.Beside = new int[count][];
+            for (int i = 0; i < count; i++)
+            {
+                lids.Beside[i] = new int[inside[i]];
+                for (int k = 0; k < inside[i]; k++)
+                {
+                    lids.Beside[i][k] = reader.Two();
+                    if (lids.Beside[i][k] >= count) throw reader.Wrong("points beside others that are not there");
+                }
+            }
+            if (lids.Sliders == 0 || lids.Cells < 2 || lids.Cells > 1024)
+                throw reader.Wrong("expected sliders, and 2 to 1,024 cells");
+            lids.Reach = Sums(reader, lids.Cells * lids.Cells, 1, 10000);
+            lids.Farthest = double.NegativeInfinity;
+            foreach (double one in lids.Reach) lids.Farthest = Math.Max(lids.Farthest, one);
+            for (int number = 0; number < 2; number++)
+                lids.Eyes[number] = ReadEye(reader, count, lids.Sliders, number > 0 ? -1 : 1);
+            reader.End();
+            made.Lids = lids;
+        }
+
+        LidEye ReadEye(Reader reader, int count, int sliders, double mirror)
+        {
+            uint first = reader.Four(), after = reader.Four();
+            var eye = new LidEye { Joints = new[] { reader.Two(), reader.Two() } };
+            int outside = reader.Two();
+            eye.Lids = EyePoints(reader, count);
+            eye.Shell = EyePoints(reader, outside);
+            if (!(first < after && after <= points) || outside < 3
+                || Math.Max(eye.Joints[0], eye.Joints[1]) >= made.Joints.Count)
+                throw reader.Wrong("points or joints of an eye that are not there");
+            eye.First = (int)first;
+            eye.After = (int)after;
+            eye.Shares = new double[2 * count];
+            for (int i = 0; i < 2 * count; i++) eye.Shares[i] = reader.Two() / 65535.0;
+            eye.Centre = EyeNumbers(reader, 3);
+            eye.Balls = EyeNumbers(reader, 4 * sliders);
+            eye.Stretches = EyeNumbers(reader, 2 * sliders);
+            eye.Ends = Ways(reader, count, sliders);
+            eye.Ways = Ways(reader, count, Limits.Ways);
+            var ways = new double[outside][];
+            for (int i = 0; i < outside; i++)
+            {
+                var way = new double[4];
+                for (int axis = 0; axis < 3; axis++)
+                {
+                    way[axis] = (axis > 0 ? 1 : mirror) * made.Mean[3 * eye.Shell[i] + axis] - eye.Centre[axis];
+                    way[3] += way[axis] * way[axis];
+                }
+                way[3] = Math.Sqrt(way[3]);
+                if (!(way[3] > 0)) throw reader.Wrong("an eyeball's outside in its middle");
+                for (int axis = 0; axis < 3; axis++) way[axis] /= way[3];
+                ways[i] = way;
+            }
+            Array.Sort(ways, (a, b) => a[1].CompareTo(b[1]));
+            eye.Outside = new double[4 * outside];
+            for (int i = 0; i < outside; i++) Array.Copy(ways[i], 0, eye.Outside, 4 * i, 4);
+            return eye;
+        }
+
+        int[] EyePoints(Reader reader, int count)
+        {
+            if (4L * count > reader.Left) throw reader.Wrong("points of an eye that end early");
+            var found = new int[count];
+            for (int i = 0; i < count; i++)
+            {
+                uint row = reader.Four();
+                if (row >= points) throw reader.Wrong("points of an eye that are not there");
+                found[i] = (int)row;
+            }
+            return found;
+        }
+
+        static double[] EyeNumbers(Reader reader, int count)
+        {
+            var found = new double[count];
+            for (int i = 0; i < count; i++)
+            {
+                found[i] = reader.Single();
+                if (!(Math.Abs(found[i]) <= Limits.Farthest)) throw reader.Wrong("an eye above 100,000 mm");
+            }
+            return found;
+        }
+    }
+
+    // Lids of an eye that slide over the eyeball: docs/files.md, "Lids". Arrays are x y z of point after point,
+    // millimetres. The right eye is fitted as its mirror image.
+    sealed class EyeFit
+    {
+        const double Far = -90; // below all that lies over an eyeball
+        const double Nothing = -1.5; // less is no push: e^-15
+
+        // by ring: millimetres over the eyeball in a blink, in a look, at the ends of sliders; of the margin's motion
+        static readonly double[] Least = { -1, 0, 0.25, 0.8, 1.4, 1.7, 1.7, 1.7, 1.7, 1.5, 1, -1, -1 };
+        static readonly double[] Over = { Far, 0, 0.2, 0.6, 1, 1.2, 1.2, 1.2, 1.2, 1.2, 1, Far, Far };
+        static readonly double[] OverAtEnds = { Far, -1, -0.5, 0.1, 0.2, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3 };
+        static readonly double[] Follow = { 0.6, 0.95, 1, 1, 1, 0.95, 0.81, 0.6, 0.42, 0.27, 0.17, 0.09, 0.03 };
+        static readonly double[] Angles = { -0.5, 0, 0.5, 0, 0, -0.5, 0, 0.5 }; // up, down, in, out: about x, about y
+        static readonly int[] OwnWays = { 1, 3, 4, 5 };
+
+        readonly Lids tables;
+        readonly LidEye eye;
+        readonly int count;
+        readonly double mirror;
+        readonly double[] lids, average, heights = new double[2], way = new double[3];
+        readonly double[] middle, squares, meanMiddle, meanSquares;
+        double[] centre;
+        double scale = 1;
+
+        public EyeFit(Basis basis, Rebuilt person, int number)
+        {
+            tables = basis.Lids;
+            eye = tables.Eyes[number];
+            count = eye.Lids.Length;
+            mirror = number > 0 ? -1 : 1;
+            lids = Places(person.Points);
+            average = Places(basis.Mean);
+            Spread(person.Points, out middle, out squares);
+            Spread(basis.Mean, out meanMiddle, out meanSquares);
+            for (int i = 0; i < 2; i++) heights[i] = person.Joints[3 * eye.Joints[i] + 1];
+        }
+
+        // How far points of the eyeball are from its middle, of the person and of the mean.
+        public double Size { get { return Math.Sqrt((squares[0] + squares[1] + squares[2]) / 3); } }
+
+        public double MeanSize { get { return Math.Sqrt((meanSquares[0] + meanSquares[1] + meanSquares[2]) / 3); } }
+
+        // At a quarter, a half, three quarters and 1, with eyeballs of a scale.
+        public List<double[]> Blinks(double size, string where)
+        {
+            FitBall(size);
+            double[] start = Lifted(lids), end = Lifted(Met(Lifted(Sum(start, Way(0))), where));
+            var found = new List<double[]>();
+            foreach (double share in new[] { 0.25, 0.5, 0.75, 1 })
+            {
+                double[] there = share < 1 ? Lifted(Arced(start, end, share)) : end;
+                found.Add(Sum(there, start, -1));
+            }
+            return found;
+        }
+
+        // Up, down at a half, down, in, out, and the squint.
+        public List<double[]> Looks()
+        {
+            double own = 0, mean = 0;
+            for (int axis = 0; axis < 3; axis++)
+            {
+                own += Math.Sqrt(squares[axis]);
+                mean += Math.Sqrt(meanSquares[axis]);
+            }
+            scale = own / mean;
+            centre = new double[3];
+            for (int axis = 0; axis < 3; axis++)
+                centre[axis] = middle[axis] - scale * (meanMiddle[axis] - eye.Centre[axis]);
+            double[] ahead = Turned(0, 0), squint = Way(6);
+            double[] ofSquint = Larger(Need(squint, ahead, Over), NeedAtEnds(squint, ahead));
+            var found = new List<double[]>();
+            for (int look = 0; look < 4; look++)
+            {
+                bool hasMiddle = look == 1;
+                double x = Angles[2 * look], y = Angles[2 * look + 1];
+                double[] turned = Turned(x, y), full = Way(OwnWays[look]);
+                double[] half = hasMiddle ? Way(2) : Sum(full, full, -0.5);
+                double[] most = Larger(Need(full, ahead, Over), Need(full, turned, Over));
+                most = Larger(most, NeedAtEnds(full, turned));
+                double[] atHalf = Need(half, Turned(x / 2, y / 2), Over);
+                if (!hasMiddle) most = Larger(most, Sum(atHalf, atHalf));
+                double[] push = Pushes(most);
+                if (hasMiddle) found.Add(Out(half, Pushes(Larger(atHalf, Sum(push, push, -0.5)))));
+                found.Add(Out(full, push));
+                ofSquint = Larger(ofSquint, Need(Sum(squint, found[found.Count - 1]), turned, OverAtEnds));
+            }
+            found.Add(Out(squint, Pushes(ofSquint)));
+            return found;
+        }
+
+        // Offsets as they are on the side that the eye is.
+        public double[] Back(double[] ways)
+        {
+            for (int i = 0; i < ways.Length; i += 3) ways[i] *= mirror;
+            return ways;
+        }
+
+        static double[] Sum(double[] one, double[] other, double times = 1)
+        {
+            var found = new double[one.Length];
+            for (int i = 0; i < found.Length; i++) found[i] = one[i] + times * other[i];
+            return found;
+        }
+
+        static double[] Larger(double[] one, double[] other)
+        {
+            var found = new double[one.Length];
+            for (int i = 0; i < found.Length; i++) found[i] = Math.Max(one[i], other[i]);
+            return found;
+        }
+
+        // log(1 + e^x)
+        static double Soft(double x)
+        {
+            double small = Math.Exp(-Math.Abs(x));
+            return Math.Max(x, 0) + (small < 1e-5 ? small - small * small / 2 : Math.Log(1 + small));
+        }
+
+        double[] Places(double[] points)
+        {
+            var found = new double[3 * count];
+            for (int i = 0; i < found.Length; i++)
+                found[i] = (i % 3 == 0 ? mirror : 1) * points[3 * eye.Lids[i / 3] + i % 3];
+            return found;
+        }
+
+        // The mean of the eyeball's points and their squares about it, by axes.
+        void Spread(double[] points, out double[] mean, out double[] about)
+        {
+            mean = new double[3];
+            about = new double[3];
+            for (int axis = 0; axis < 3; axis++)
+            {
+                double sign = axis == 0 ? mirror : 1, size = eye.After - eye.First;
+                for (int row = eye.First; row < eye.After; row++) mean[axis] += sign * points[3 * row + axis] / size;
+                for (int row = eye.First; row < eye.After; row++)
+                {
+                    double off = sign * points[3 * row + axis] - mean[axis];
+                    about[axis] += off * off / size;
+                }
+            }
+        }
+
+        double[] Way(int number)
+        {
+            var found = new double[3 * count];
+            Array.Copy(eye.Ways, 3 * count * number, found, 0, found.Length);
+            return found;
+        }
+
+        // How far the mean's eyeball reaches along `way`: the mean of the nearest three points of its outside.
+        double Reach()
+        {
+            double[] outside = eye.Outside;
+            double x = way[0], y = way[1], z = way[2];
+            int low = 0, high = outside.Length / 4;
+            while (low < high)
+            {
+                int half = (low + high) / 2;
+                if (outside[4 * half + 1] < y) low = half + 1;
+                else high = half;
+            }
+            double a = double.PositiveInfinity, b = a, c = a, p = 0, q = 0, r = 0;
+            for (int step = 4; step >= -4; step -= 8) // up first, then down
+                for (int at = step > 0 ? 4 * low : 4 * low - 4; at >= 0 && at < outside.Length; at += step)
+                {
+                    double dy = outside[at + 1] - y;
+                    if (!(dy * dy < c)) break;
+                    double dx = outside[at] - x, dz = outside[at + 2] - z, square = dy * dy + dx * dx + dz * dz;
+                    if (!(square < c)) continue;
+                    if (square < b)
+                    {
+                        c = b;
+                        r = q;
+                        bool first = square < a;
+                        b = first ? a : square;
+                        q = first ? p : outside[at + 3];
+                        if (!first) continue;
+                        a = square;
+                        p = outside[at + 3];
+                    }
+                    else
+                    {
+                        c = square;
+                        r = outside[at + 3];
+                    }
+                }
+            double u = 1 / (Math.Sqrt(a) + 1e-3), v = 1 / (Math.Sqrt(b) + 1e-3), w = 1 / (Math.Sqrt(c) + 1e-3);
+            return (u * p + v * q + w * r) / (u + v + w);
+        }
+
+        // How far a point lies over the eyeball; `way` is its direction then.
+        double Above(double[] points, int row)
+        {
+            for (int axis = 0; axis < 3; axis++) way[axis] = points[3 * row + axis] - centre[axis];
+            double far = Math.Sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
+            for (int axis = 0; axis < 3; axis++) way[axis] /= far;
+            return far - scale * Reach();
+        }
+
+        double[] Lifted(double[] points)
+        {
+            var found = (double[])points.Clone();
+            for (int row = 0; row < count; row++)
+            {
+                double least = Least[tables.Rings[row]];
+                if (least < 0) continue;
+                double lift = 0.15 * Soft((least - Above(points, row)) / 0.15);
+                for (int axis = 0; axis < 3; axis++) found[3 * row + axis] += lift * way[axis];
+            }
+            return found;
+        }
+
+        // Move the eyeball a little, so that lids lie on it as the mean's do on theirs: six steps of Gauss and Newton.
+        void FitBall(double size)
+        {
+            var touching = new List<int>();
+            for (int row = 0; row < count; row++)
+                if (tables.Rings[row] == 2 || tables.Rings[row] == 3) touching.Add(row);
+            centre = (double[])eye.Centre.Clone();
+            scale = 1;
+            var goals = new double[touching.Count];
+            for (int i = 0; i < goals.Length; i++) goals[i] = Above(average, touching[i]);
+            double[] start = Sum(eye.Centre, Sum(middle, meanMiddle, -1));
+            centre = (double[])start.Clone();
+            scale = size;
+            for (int step = 0; step < 6; step++)
+            {
+                var rows = new double[3, 4];
+                for (int a = 0; a < 3; a++)
+                {
+                    rows[a, a] = 1;
+                    rows[a, 3] = start[a] - centre[a];
+                }
+                for (int i = 0; i < goals.Length; i++)
+                {
+                    double miss = Above(lids, touching[i]) - goals[i], weight = miss < 0 ? 9 : 1;
+                    for (int a = 0; a < 3; a++)
+                    {
+                        for (int b = 0; b < 3; b++) rows[a, b] += weight * way[a] * way[b];
+                        rows[a, 3] += weight * way[a] * miss;
+                    }
+                }
+                centre = Sum(centre, Solved(rows));
+            }
+        }
+
+        // Of a symmetric positive definite matrix and a column beside it.
+        static double[] Solved(double[,] rows)
+        {
+            for (int i = 0; i < 3; i++)
+                for (int k = i + 1; k < 3; k++)
+                    for (int column = 3; column >= i; column--)
+                        rows[k, column] -= rows[k, i] / rows[i, i] * rows[i, column];
+            var found = new double[3];
+            for (int i = 2; i >= 0; i--)
+            {
+                double sum = rows[i, 3];
+                for (int k = i + 1; k < 3; k++) sum -= rows[i, k] * found[k];
+                found[i] = sum / rows[i, i];
+            }
+            return found;
+        }
+
+        // Lids with the upper margin brought onto the lower one, and the lid drawn after it.
+        double[] Met(double[] points, string where)
+        {
+            int inner = 3 * tables.Corners[0], outer = 3 * tables.Corners[1];
+            double[] across = new double[3], axis = new double[3], along = new double[count];
+            double square = 0;
+            for (int k = 0; k < 3; k++)
+            {
+                across[k] = points[outer + k] - points[inner + k];
+                square += across[k] * across[k];
+            }
+            for (int k = 0; k < 3; k++) axis[k] = across[k] / square;
+            double flat = Math.Sqrt(axis[0] * axis[0] + axis[1] * axis[1]), sign = axis[0] < 0 ? -1 : 1;
+            double[] down = { sign * axis[1] / flat, -sign * axis[0] / flat, 0 };
+            for (int row = 0; row < count; row++)
+            {
+                for (int k = 0; k < 3; k++) along[row] += (points[3 * row + k] - points[inner + k]) * axis[k];
+                if (double.IsNaN(along[row]) || double.IsInfinity(along[row]))
+                    throw new FacepipeException(where + " -> lids", "an eye without width, expected corners apart");
+            }
+            var found = (double[])points.Clone();
+            for (int ring = 0; ring < Limits.Rings; ring++)
+            {
+                int[] upper = Rows(Math.Min(ring, Limits.Margin), 1, along);
+                int[] lower = Rows(Math.Min(ring, Limits.Margin), 0, along);
+                double[] above = At(along, upper), below = At(along, lower), goals = new double[3 * lower.Length];
+                for (int i = 0; i < lower.Length; i++) Array.Copy(points, 3 * lower[i], goals, 3 * i, 3);
+                var moves = new double[3 * upper.Length];
+                for (int i = 0; i < upper.Length; i++)
+                {
+                    double end = Math.Min(above[i] - below[0], below[below.Length - 1] - above[i]), aside = 0;
+                    double taper = Math.Min(Math.Max(end / 0.04, 0), 1);
+                    double[] goal = Between(above[i], below, goals);
+                    for (int k = 0; k < 3; k++)
+                    {
+                        moves[3 * i + k] = taper * (goal[k] - points[3 * upper[i] + k]);
+                        aside += moves[3 * i + k] * axis[k];
+                    }
+                    for (int k = 0; k < 3; k++) moves[3 * i + k] += 0.4 * taper * down[k] - aside * across[k];
+                }
+                foreach (int row in ring <= Limits.Margin ? upper : Rows(ring, 1, along))
+                {
+                    double[] move = Between(along[row], above, moves);
+                    for (int k = 0; k < 3; k++) found[3 * row + k] += Follow[ring] * move[k];
+                }
+            }
+            return found;
+        }
+
+        // Rows of a ring above or below, in their order along the eye.
+        int[] Rows(int ring, int upper, double[] along)
+        {
+            var found = new List<int>();
+            for (int row = 0; row < count; row++)
+                if (tables.Rings[row] == ring && tables.Upper[row] == upper) found.Add(row);
+            found.Sort((a, b) => along[a] != along[b] ? along[a].CompareTo(along[b]) : a.CompareTo(b));
+            return found.ToArray();
+        }
+
+        static double[] At(double[] values, int[] rows)
+        {
+            var found = new double[rows.Length];
+            for (int i = 0; i < rows.Length; i++) found[i] = values[rows[i]];
+            return found;
+        }
+
+        // Values between known ones at ascending places; beyond these the first or the last.
+        static double[] Between(double at, double[] places, double[] values)
+        {
+            int next = 0;
+            while (next < places.Length && places[next] <= at) next++;
+            int before = Math.Max(next - 1, 0);
+            bool beyond = next == 0 || next == places.Length;
+            double share = beyond ? 0 : (at - places[before]) / (places[next] - places[before]);
+            next = Math.Min(next, places.Length - 1);
+            var found = new double[3];
+            for (int k = 0; k < 3; k++)
+                found[k] = values[3 * before + k] + share * (values[3 * next + k] - values[3 * before + k]);
+            return found;
+        }
+
+        // Points a share of their way on arcs around the eyeball's middle.
+        double[] Arced(double[] start, double[] end, double share)
+        {
+            var found = new double[start.Length];
+            double[] a = new double[3], b = new double[3];
+            for (int at = 0; at < found.Length; at += 3)
+            {
+                double first = 0, last = 0, together = 0;
+                for (int k = 0; k < 3; k++)
+                {
+                    a[k] = start[at + k] - centre[k];
+                    b[k] = end[at + k] - centre[k];
+                    first += a[k] * a[k];
+                    last += b[k] * b[k];
+                    together += a[k] * b[k];
+                }
+                first = Math.Sqrt(first);
+                last = Math.Sqrt(last);
+                double x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2], z = a[0] * b[1] - a[1] * b[0];
+                double angle = Math.Max(Math.Atan2(Math.Sqrt(x * x + y * y + z * z), together), 1e-6);
+                double far = ((1 - share) * first + share * last) / Math.Sin(angle);
+                double p = far * Math.Sin((1 - share) * angle) / first, q = far * Math.Sin(share * angle) / last;
+                for (int k = 0; k < 3; k++) found[at + k] = centre[k] + p * a[k] + q * b[k];
+            }
+            return found;
+        }
+
+        // A rotation about x and one about y, row by row; one of the angles is 0.
+        static double[] Turned(double x, double y)
+        {
+            double a = Math.Cos(x), b = Math.Sin(x), c = Math.Cos(y), d = Math.Sin(y);
+            return new[] { c, 0, d, b * d, a, -b * c, -a * d, b, a * c };
+        }
+
+        // How far an offset from the middle of a turned eyeball lacks to lie over it.
+        double Lack(double x, double y, double z, double[] turn, double size, double least)
+        {
+            int cells = tables.Cells;
+            double far = Math.Sqrt(x * x + y * y + z * z), ahead = x * turn[2] + y * turn[5] + z * turn[8];
+            double flat = 1 / (far + Math.Max(ahead, -0.5 * far)), most = cells - 1;
+            double u = ((x * turn[0] + y * turn[3] + z * turn[6]) * flat + 1.5) * (most / 3);
+            double v = ((x * turn[1] + y * turn[4] + z * turn[7]) * flat + 1.5) * (most / 3);
+            u = u > 0 ? Math.Min(u, most - 0.001) : 0; // NaN too
+            v = v > 0 ? Math.Min(v, most - 0.001) : 0;
+            int column = (int)u, row = (int)v, at = row * cells + column;
+            double s = u - column, t = v - row;
+            double[] reach = tables.Reach;
+            double low = (1 - s) * reach[at] + s * reach[at + 1];
+            double high = (1 - s) * reach[at + cells] + s * reach[at + cells + 1];
+            return least + size * ((1 - t) * low + t * high) - far;
+        }
+
+        double[] Need(double[] ways, double[] turn, double[] least)
+        {
+            var found = new double[count];
+            for (int row = 0, at = 0; row < count; row++, at += 3)
+            {
+                double x = lids[at] + ways[at] - centre[0], y = lids[at + 1] + ways[at + 1] - centre[1];
+                double z = lids[at + 2] + ways[at + 2] - centre[2];
+                found[row] = Lack(x, y, z, turn, scale, least[tables.Rings[row]]);
+            }
+            return found;
+        }
+
+        // The most that lids lack at an end of a slider. What lies as far above as no eyeball reaches is not looked up.
+        double[] NeedAtEnds(double[] ways, double[] turn)
+        {
+            var found = new double[count];
+            for (int row = 0; row < count; row++) found[row] = Nothing;
+            for (int end = 0; end < 2 * tables.Sliders; end++)
+            {
+                int slider = end / 2, ball = 4 * slider, own = 3 * slider * count;
+                double sign = end % 2 > 0 ? 1 : -1, size = scale * (1 + sign * eye.Balls[ball + 3]);
+                double up = eye.Stretches[2 * slider], stretch = eye.Stretches[2 * slider + 1];
+                for (int row = 0, at = 0; row < count; row++, at += 3, own += 3)
+                {
+                    double height = lids[at + 1] + ways[at + 1] + sign * eye.Ends[own + 1];
+                    double carried = eye.Shares[row] * (up + stretch * (height - heights[0]))
+                        + eye.Shares[count + row] * (up + stretch * (height - heights[1]));
+                    double x = lids[at] + ways[at] + sign * (eye.Ends[own] - eye.Balls[ball]) - centre[0];
+                    double y = height + sign * (carried - eye.Balls[ball + 1]) - centre[1];
+                    double ahead = eye.Ends[own + 2] - eye.Balls[ball + 2];
+                    double z = lids[at + 2] + ways[at + 2] + sign * ahead - centre[2];
+                    double least = OverAtEnds[tables.Rings[row]], far = least + size * tables.Farthest - found[row];
+                    if (far > 0 && x * x + y * y + z * z < far * far)
+                        found[row] = Math.Max(found[row], Lack(x, y, z, turn, size, least));
+                }
+            }
+            return found;
+        }
+
+        // Pushes of at least the need, as smooth as a skin drawn over them.
+        double[] Pushes(double[] need)
+        {
+            var least = new double[count];
+            for (int row = 0; row < count; row++) least[row] = 0.1 * Soft(need[row] / 0.1);
+            double[] push = (double[])least.Clone(), next = new double[count];
+            for (int round = 0; round < 12; round++)
+            {
+                for (int row = 0; row < count; row++)
+                {
+                    double sum = 0;
+                    foreach (int near in tables.Beside[row]) sum += push[near];
+                    next[row] = Math.Max(least[row], sum / tables.Links[row]);
+                }
+                double[] before = push;
+                push = next;
+                next = before;
+            }
+            return push;
+        }
+
+        double[] Out(double[] ways, double[] push)
+        {
+            var found = (double[])ways.Clone();
+            for (int row = 0, at = 0; row < count; row++, at += 3)
+            {
+                double x = lids[at] + ways[at] - centre[0], y = lids[at + 1] + ways[at + 1] - centre[1];
+                double z = lids[at + 2] + ways[at + 2] - centre[2];
+                double share = push[row] / Math.Sqrt(x * x + y * y + z * z);
+                found[at] += share * x;
+                found[at + 1] += share * y;
+                found[at + 2] += share * z;
+            }
+            return found;
         }
     }
 

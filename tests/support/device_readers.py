@@ -74,6 +74,13 @@ def rebuilt(driver: Sequence[str], basis: Path, person: Path, count: int) -> tup
     return values[:count], values[count:]
 
 
+def lids(driver: Sequence[str], basis: Path, person: Path) -> tuple[list[tuple[str, float]], np.ndarray]:
+    """Names and weights of the shapes of a person's lids, and their offsets (s, k, 3) in millimetres."""
+    out = person.with_suffix(".bin")
+    rows = [line.split() for line in run([*driver, "lids", str(basis), str(person), str(out)]).splitlines()]
+    return [(name, float(weight)) for name, weight in rows], np.fromfile(out, "<f8").reshape(len(rows), -1, 3)
+
+
 def corpus_disagreements(driver: Sequence[str], folder: Path) -> list[str]:
     """Where a driver's verdicts on the corpora that `person_corpus.write` made are not Python's."""
     found = []

@@ -6,14 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from device_readers import rebuilt
+from device_readers import lids, rebuilt
 from person_corpus import basis, basis_file
 from small_sources import made
 
 from facepipe.heads import make
+from facepipe.heads.assembly import LIDS, average
+from facepipe.heads.asset import arrays
 from facepipe.payload.person import decode_person
 from facepipe.verbs.person_basis import head_basis
 from facepipe.verbs.person_layers import encode_points
+from facepipe.verbs.person_neutral import with_neutral
 from facepipe.verbs.whole_faces import whole_points
 
 _BAR = 1e-4  # millimetres
@@ -68,3 +71,32 @@ def assert_rebuilt_as_python(driver: Sequence[str], name: str, folder: Path) -> 
     places = [joint.shares @ expected[joint.points] for joint in own.content.joints]
     np.testing.assert_allclose(joints, np.reshape(places, (-1, 3)), rtol=0, atol=_BAR)
     assert of != "head" or len(joints) == 44
+
+
+def python_lids(points: np.ndarray) -> dict[tuple[str, float], np.ndarray]:
+    """(k, 3) offsets in millimetres, by shape and weight, of lids of who has points (n, 3) of the head in the box."""
+    face = with_neutral(average(), head_basis(), points)
+    head, found = face.meshes[0], {}
+    for shape in head.blendshapes:
+        if shape.name in LIDS:
+            own = arrays("lids")["lids"][int(shape.name.endswith("Right"))]
+            for weight, offsets in ((1.0, shape.offsets), *((one.weight, one.offsets) for one in shape.inbetweens)):
+                whole = np.zeros((len(head.points), 3))
+                whole[shape.point_indices] = offsets
+                found[shape.name, weight] = 10 * whole[own]
+    return found
+
+
+def assert_lids_as_python(driver: Sequence[str], name: str, folder: Path) -> None:
+    """That a driver's shapes of lids of a person are Python's, and not those of the head that everyone has."""
+    data = PEOPLE[name][1]()
+    (folder / "head.fpbasis").write_bytes(basis_file("head"))
+    (folder / "me.fpb").write_bytes(data)
+    rows, offsets = lids(driver, folder / "head.fpbasis", folder / "me.fpb")
+    expected = python_lids(head_basis().rebuilt(decode_person(data, name), name))
+    assert len(rows) == len(set(rows))
+    assert set(rows) == set(expected)
+    for row, own in zip(rows, offsets, strict=True):
+        assert np.abs(own - expected[row]).max() <= _BAR, row
+    usual = python_lids(head_basis().mean)
+    assert max(np.abs(usual[row] - expected[row]).max() for row in rows) > 1

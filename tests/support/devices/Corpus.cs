@@ -74,11 +74,25 @@ static class Corpus
             double start = Milliseconds();
             for (int i = 0; i < 20; i++) basis.Rebuild(Person.Read(data, words[2]), words[2]);
             double each = (Milliseconds() - start) / 20;
-            Console.WriteLine(string.Format(CultureInfo.InvariantCulture, "{0:F1} {1:F2}", loaded - before, each));
+            basis.FittedLids(made, words[2]);
+            start = Milliseconds();
+            for (int i = 0; i < 20; i++) basis.FittedLids(made, words[2]);
+            double lids = (Milliseconds() - start) / 20;
+            Console.WriteLine(string.Format(CultureInfo.InvariantCulture, "{0:F1} {1:F2} {2:F2}", loaded - before, each, lids));
             return;
         }
+        var arrays = new List<double[]> { made.Points, made.Joints };
+        if (words[0] == "lids")
+        {
+            arrays.Clear();
+            foreach (LidShape shape in basis.FittedLids(made, words[2]))
+            {
+                Console.WriteLine(string.Format(CultureInfo.InvariantCulture, "{0} {1}", shape.Name, shape.Weight));
+                arrays.Add(shape.Offsets);
+            }
+        }
         using (var file = new BinaryWriter(File.Create(words[3])))
-            foreach (double[] values in new[] { made.Points, made.Joints })
+            foreach (double[] values in arrays)
                 foreach (double value in values) file.Write(value);
     }
 }

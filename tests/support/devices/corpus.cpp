@@ -4,7 +4,8 @@
 //   corpus bases CASES           the same of bases: of all of their modes, and a step of 1 mm of all numbers of joints
 //   corpus poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   corpus points BASIS FPB OUT  points and joints as float64
-//   corpus time BASIS FPB        milliseconds of processor time: the basis, then a person
+//   corpus lids BASIS FPB OUT    offsets of the shapes of lids as float64, and prints their names and weights
+//   corpus time BASIS FPB        milliseconds of processor time: the basis, then a person, then its lids
 
 #include <cstdio>
 #include <ctime>
@@ -83,12 +84,25 @@ int main(int count, char** words) {
   const Bytes data = read_file(words[3]);
   if (what == "time") {
     for (int i = 0; i < 20; ++i) rebuild(basis, read_person(data, words[3]), words[3]);
-    std::printf("%.1f %.2f\n", 1e3 * (loaded - before), 50 * (seconds() - loaded));
+    const double made = seconds();
+    const Rebuilt face = rebuild(basis, read_person(data, words[3]), words[3]);
+    const double start = seconds();
+    for (int i = 0; i < 20; ++i) fitted_lids(basis, face, words[3]);
+    std::printf("%.1f %.2f %.2f\n", 1e3 * (loaded - before), 50 * (made - loaded), 50 * (seconds() - start));
     return 0;
   }
   const Rebuilt made = rebuild(basis, read_person(data, words[3]), words[3]);
   std::ofstream out(words[4], std::ios::binary);
-  for (const std::vector<double>* values : {&made.points, &made.joints})
-    out.write(reinterpret_cast<const char*>(values->data()), static_cast<std::streamsize>(8 * values->size()));
+  const auto write = [&](const std::vector<double>& values) {
+    out.write(reinterpret_cast<const char*>(values.data()), static_cast<std::streamsize>(8 * values.size()));
+  };
+  if (what == "lids") {
+    for (const LidShape& shape : fitted_lids(basis, made, words[3])) {
+      std::printf("%s %g\n", shape.name.c_str(), shape.weight);
+      write(shape.offsets);
+    }
+    return 0;
+  }
+  write(made.points), write(made.joints);
   return 0;
 }

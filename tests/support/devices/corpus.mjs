@@ -4,12 +4,13 @@
 //   bases CASES           the same of bases: of all of their modes, and a step of 1 mm of all numbers of joints
 //   poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   points BASIS FPB OUT  points and joints as float64
-//   time BASIS FPB        milliseconds of processor time: the basis, then a person, the first and in the middle of 21
+//   lids BASIS FPB OUT    offsets of the shapes of lids as float64, and prints their names and weights
+//   time BASIS FPB        milliseconds of processor time: the basis, then a person and its lids, first and in the middle of 21
 import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [script, what, ...files] = process.argv.slice(2);
-const { FaceError, jointPlaces, parsePayload, parsePerson, readBasis, rebuilt } = await import(pathToFileURL(script));
+const { FaceError, fittedLids, jointPlaces, parsePayload, parsePerson, readBasis, rebuilt } = await import(pathToFileURL(script));
 const read = (file) => Uint8Array.from(readFileSync(file)).buffer;
 const processor = () => process.cpuUsage().user / 1e3 + process.cpuUsage().system / 1e3;
 
@@ -33,15 +34,28 @@ if (what === "bases") {
   const loaded = processor() - before;
   const person = (bytes) => made(basis, rebuilt(basis, parsePerson(bytes, "case")));
   if (what === "persons") await judge(files[1], person);
-  else if (what === "points") writeFileSync(files[2], Buffer.concat(person(read(files[1])).map((one) => new Uint8Array(one.buffer))));
-  else {
-    const took = Array.from({ length: 21 }, () => {
-      const start = processor();
-      person(read(files[1]));
-      return processor() - start;
-    });
-    console.log([loaded, took[0], took.sort((a, b) => a - b)[10]].map((one) => one.toFixed(1)).join(" "));
+  else if (what === "points") write(person(read(files[1])));
+  else if (what === "lids") {
+    const shapes = fittedLids(basis, person(read(files[1]))[0]);
+    for (const { name, weight } of shapes) console.log(name, weight);
+    write(shapes.map((shape) => shape.offsets));
+  } else {
+    const timed = (of) => {
+      const took = Array.from({ length: 21 }, () => {
+        const start = processor();
+        of();
+        return processor() - start;
+      });
+      return [took[0], took.sort((a, b) => a - b)[10]];
+    };
+    const rebuild = timed(() => person(read(files[1])));
+    const [points] = person(read(files[1]));
+    console.log([loaded, ...rebuild, ...timed(() => fittedLids(basis, points))].map((one) => one.toFixed(1)).join(" "));
   }
+}
+
+function write(arrays) {
+  writeFileSync(files[2], Buffer.concat(arrays.map((one) => new Uint8Array(one.buffer))));
 }
 
 function made(basis, points) {

@@ -2,6 +2,7 @@
 import { Bytes, hex, readSections, type Section, shortHash } from "./bytes";
 import { FaceError } from "./errors";
 import { type IdentityJoints, readIdentityJoints } from "./identity_joints";
+import { type LidTables, readLids } from "./lid_tables";
 
 /** Points of a level, and of which of coarser levels they are predicted. */
 export interface Level {
@@ -47,6 +48,8 @@ export interface Basis {
   joints: JointPlace[];
   /** those that are who somebody is; they pose nothing */
   identityJoints: IdentityJoints | null;
+  /** what blinks, looks and squints are fitted by */
+  lids: LidTables | null;
 }
 
 const MAGIC = 0x41425046; // FPBA
@@ -56,7 +59,7 @@ const MOST_POINTS = 2 ** 20;
 const MOST_PARTS = 16;
 const FINEST = 1e6; // places in a millimetre
 const WHOLE = 64;
-const [NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS] = [1, 2, 3, 4, 5, 6, 7, 8];
+const [NAME, MESHES, MEAN, LEVELS, MODES, PARTS, JOINTS, IDENTITY_JOINTS, LIDS] = [1, 2, 3, 4, 5, 6, 7, 8, 9];
 
 /**
  * The basis in `bytes`. Its digest is computed again where the page is from https or localhost; elsewhere the browser
@@ -79,7 +82,7 @@ export async function readBasis(bytes: ArrayBuffer, where = "basis"): Promise<Ba
   const sections = readSections(body, where);
   const of = (kind: number) => new Bytes(sections.get(kind)?.data ?? new Uint8Array(0), `${where} -> section of kind ${kind}`);
   for (const { kind, required } of sections.values()) {
-    if (required && kind > IDENTITY_JOINTS) throw new FaceError(where, `section of kind ${kind}, which this version of facepipe does not know`);
+    if (required && kind > LIDS) throw new FaceError(where, `section of kind ${kind}, which this version of facepipe does not know`);
   }
   for (const kind of [NAME, MESHES, MEAN, LEVELS]) {
     if (!sections.has(kind)) throw new FaceError(where, `no section of kind ${kind}, expected one`);
@@ -97,7 +100,8 @@ function content(sections: Map<number, Section>, of: (kind: number) => Bytes): O
   const { step, modes } = sections.has(MODES) ? readModes(of(MODES), count, levels) : { step: 0, modes: [] };
   const [parts, joints] = [readParts(of(PARTS), count), readJoints(of(JOINTS), count)];
   const identityJoints = sections.has(IDENTITY_JOINTS) ? readIdentityJoints(of(IDENTITY_JOINTS), count) : null;
-  return { name, meshes, count, mean, levels, step, modes, parts, joints, identityJoints };
+  const lids = sections.has(LIDS) ? readLids(of(LIDS), mean, joints.length) : null;
+  return { name, meshes, count, mean, levels, step, modes, parts, joints, identityJoints, lids };
 }
 
 /** A zlib stream as so many bytes; it is left as soon as there are more. */
