@@ -492,7 +492,63 @@ inline Head read_head(const Bytes& file, const std::string& where) {
   return HeadReader(document, file.data() + (bytes ? start + 8 : 0), bytes, where).head();
 }
 
-// Put a person on a head: positions, and where joints stand. Returns names of meshes that stay as they are, since the
+// How far a target goes at a weight of its shape: straight lines between knots, whose ends go on.
+inline double activation(const Target& target, double weight) {
+  const auto& curve = target.curve;
+  if (curve.size() < 2) return weight;
+  std::size_t i = 0;
+  while (i + 2 < curve.size() && weight > curve[i + 1].first) ++i;
+  const double span = curve[i + 1].first - curve[i].first;
+  return span ? curve[i].second + (curve[i + 1].second - curve[i].second) * (weight - curve[i].first) / span
+              : curve[i].second;
+}
+
+// Put shapes of a person's lids in place of a head's: points of lids go as they say, and what lies on these goes as much
+// farther than in the file.
+inline void put_lids_on(Head& head, const Basis& basis, const std::vector<LidShape>& shapes) {
+  std::map<std::string, const Mesh*> known;
+  for (const Mesh& mesh : basis.meshes) known[mesh.name] = &mesh;
+  for (const LidShape& shape : shapes) {
+    std::map<std::size_t, std::size_t> numbers;
+    const std::vector<std::uint32_t>& lids = basis.lids.eyes[shape.eye].lids;
+    for (std::size_t i = 0; i < lids.size(); ++i) numbers[lids[i]] = i;
+    std::map<std::size_t, std::array<double, 3>> farther;
+    for (const bool lying : {false, true})
+      for (Primitive& primitive : head.primitives) {
+        const HeadMesh& mesh = head.meshes[primitive.mesh];
+        const bool lies = !primitive.corners.empty() && known.count(mesh.lies_on);
+        if (lies != lying || (!lies && (primitive.points.empty() || !known.count(mesh.name)))) continue;
+        const std::size_t first = known[lies ? mesh.lies_on : mesh.name]->first;
+        for (std::size_t t = 0; t < primitive.targets.size(); ++t) {
+          const Target& target = mesh.targets[t];
+          if (target.shape != shape.name || std::abs(activation(target, shape.weight) - 1) > 1e-6) continue;
+          std::vector<float>& offsets = primitive.targets[t];
+          offsets.resize(primitive.positions.size());
+          for (std::size_t i = 0; i < primitive.vertices(); ++i) {
+            float* own = &offsets[3 * i];
+            if (!lies) {
+              const auto row = numbers.find(first + primitive.points[i]);
+              for (std::size_t axis = 0; row != numbers.end() && axis < 3; ++axis) {
+                const double value = shape.offsets[3 * row->second + axis] / 1000;
+                farther[row->first][axis] = value - own[axis];
+                own[axis] = static_cast<float>(value);
+              }
+              continue;
+            }
+            const float *corner = &primitive.corners[3 * i], *share = &primitive.shares[2 * i];
+            const double shares[3] = {share[0], share[1], 1.0 - share[0] - share[1]};
+            for (int k = 0; k < 3; ++k) {
+              const auto row = farther.find(first + static_cast<std::size_t>(corner[k]));
+              for (std::size_t axis = 0; row != farther.end() && axis < 3; ++axis)
+                own[axis] += static_cast<float>(shares[k] * row->second[axis]);
+            }
+          }
+        }
+      }
+  }
+}
+
+// Put a person on a head: positions, where joints stand, and lids that fit the eyeballs. Returns names of meshes that stay as they are, since the
 // file does not say what they go with.
 inline std::vector<std::string> put_on(Head& head, const Basis& basis, const Rebuilt& person,
                                        const std::string& where) {
@@ -543,18 +599,8 @@ inline std::vector<std::string> put_on(Head& head, const Basis& basis, const Reb
     joint.rest = detail::moved(own);
     joint.inverse_bind = detail::moved(back);
   }
+  put_lids_on(head, basis, fitted_lids(basis, person, where));
   return left;
-}
-
-// How far a target goes at a weight of its shape: straight lines between knots, whose ends go on.
-inline double activation(const Target& target, double weight) {
-  const auto& curve = target.curve;
-  if (curve.size() < 2) return weight;
-  std::size_t i = 0;
-  while (i + 2 < curve.size() && weight > curve[i + 1].first) ++i;
-  const double span = curve[i + 1].first - curve[i].first;
-  return span ? curve[i].second + (curve[i + 1].second - curve[i].second) * (weight - curve[i].first) / span
-              : curve[i].second;
 }
 
 // Skinned vertices, x y z of primitive after primitive in metres: targets first, then linear blend skinning.

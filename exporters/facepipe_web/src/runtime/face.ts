@@ -6,6 +6,8 @@ import { FaceError } from "./errors";
 import { type Followed, followedPoints } from "./followed";
 import type { FaceMesh, LoadedGlb } from "./glb";
 import { Joints } from "./joints";
+import { resetLids, setLids } from "./lid_targets";
+import { fittedLids } from "./lids";
 import { type Metadata, output, sliderInput } from "./metadata";
 import type { Network } from "./network";
 import { resetNeutral, setNeutral } from "./neutral";
@@ -116,7 +118,8 @@ export class Face {
 
   /**
    * Be a person, until `setPerson(null)`: points, normals and joints are theirs, and sliders, shapes and payloads move
-   * these. Cards and other meshes go with the points of the basis; materials have the person's pictures, if any.
+   * these. Cards and other meshes go with the points of the basis, and lids fit the eyeballs in blinks, looks and squints;
+   * materials have the person's pictures, if any.
    * @param basis of which the GLB has the meshes
    * @throws FaceError a person of another basis, or a basis of another face
    */
@@ -125,11 +128,14 @@ export class Face {
   async setPerson(person: Person | null, basis?: Basis): Promise<void> {
     if (!person || !basis) {
       this.meshes.forEach(resetNeutral);
+      resetLids(this.meshes);
       this.joints?.setRest(new Map());
       setPictures(this.meshes, new Map());
       return this.update();
     }
-    const points = rebuilt(basis, person).map((value) => value * MM);
+    const millimetres = rebuilt(basis, person);
+    const lids = fittedLids(basis, millimetres, person.where);
+    const points = millimetres.map((value) => value * MM);
     const followed = this.followed.get(basis) ?? followedPoints(this.meshes, basis);
     this.followed.set(basis, followed);
     setPictures(this.meshes, await readPictures(person.pictures, person.where));
@@ -145,6 +151,7 @@ export class Face {
         }
       });
     }
+    setLids(this.meshes, followed, basis.count, lids);
     const places = jointPlaces(basis, points);
     this.joints?.setRest(new Map(basis.joints.map(({ path }, i) => [path, new Vector3().fromArray(places, 3 * i)])));
     return this.update();
