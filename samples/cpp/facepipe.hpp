@@ -780,8 +780,7 @@ class BasisReader {
         way[axis] = (axis ? 1.0 : mirror) * made_.mean[3 * std::size_t{row} + axis] - eye.centre[axis];
         square += way[axis] * way[axis];
       }
-      const double length = std::sqrt(square);
-      if (!(length > 0)) reader.wrong("an eyeball's outside in its middle");
+      const double length = std::max(std::sqrt(square), 1e-9);
       eye.outside.push_back({way[0] / length, way[1] / length, way[2] / length, length});
     }
     std::stable_sort(eye.outside.begin(), eye.outside.end(), [](const auto& a, const auto& b) { return a[1] < b[1]; });

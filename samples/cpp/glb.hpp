@@ -503,8 +503,8 @@ inline double activation(const Target& target, double weight) {
               : curve[i].second;
 }
 
-// Put shapes of a person's lids in place of a head's: points of lids go as they say, and what lies on these goes as much
-// farther than in the file.
+// Put shapes of a person's lids in place of a head's: points of lids go as they say, and what lies on these goes as
+// much farther than in the file.
 inline void put_lids_on(Head& head, const Basis& basis, const std::vector<LidShape>& shapes) {
   std::map<std::string, const Mesh*> known;
   for (const Mesh& mesh : basis.meshes) known[mesh.name] = &mesh;
@@ -548,8 +548,8 @@ inline void put_lids_on(Head& head, const Basis& basis, const std::vector<LidSha
   }
 }
 
-// Put a person on a head: positions, where joints stand, and lids that fit the eyeballs. Returns names of meshes that stay as they are, since the
-// file does not say what they go with.
+// Put a person on a head: positions, where joints stand, and lids that fit the eyeballs. Returns names of meshes that
+// stay as they are, since the file does not say what they go with.
 inline std::vector<std::string> put_on(Head& head, const Basis& basis, const Rebuilt& person,
                                        const std::string& where) {
   std::map<std::string, const Mesh*> known;

@@ -1066,8 +1066,7 @@ namespace Facepipe
                     way[axis] = (axis > 0 ? 1 : mirror) * made.Mean[3 * eye.Shell[i] + axis] - eye.Centre[axis];
                     way[3] += way[axis] * way[axis];
                 }
-                way[3] = Math.Sqrt(way[3]);
-                if (!(way[3] > 0)) throw reader.Wrong("an eyeball's outside in its middle");
+                way[3] = Math.Max(Math.Sqrt(way[3]), 1e-9);
                 for (int axis = 0; axis < 3; axis++) way[axis] /= way[3];
                 ways[i] = way;
             }

@@ -7,7 +7,7 @@ from pathlib import Path
 import person_corpus
 import pytest
 from device_readers import SANITIZED, corpus_disagreements, cpp_driver, run
-from rebuilt_people import PEOPLE, assert_rebuilt_as_python
+from rebuilt_people import HEADS, PEOPLE, assert_lids_as_python, assert_rebuilt_as_python
 
 pytestmark = pytest.mark.slow  # compilers take seconds
 
@@ -22,6 +22,12 @@ def test_points_and_joints_are_pythons(name: str, tmp_path: Path) -> None:
 def test_verdicts_are_pythons(tmp_path: Path) -> None:
     person_corpus.write(tmp_path, 400, seed=1)
     assert corpus_disagreements(cpp_driver(), tmp_path) == []
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("name", HEADS)
+def test_blinks_and_looks_are_pythons(name: str, tmp_path: Path) -> None:
+    assert_lids_as_python(cpp_driver(), name, tmp_path)
 
 
 def test_no_case_of_20_000_goes_out_of_bounds_or_is_judged_otherwise(corpus_of_20_000: Path) -> None:

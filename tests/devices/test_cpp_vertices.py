@@ -17,9 +17,9 @@ from rebuilt_people import PEOPLE
 
 import facepipe
 from facepipe.heads import make
-from facepipe.heads.assembly import skeleton
+from facepipe.heads.assembly import LIDS, skeleton, with_own_lids
 from facepipe.heads.holds import held
-from facepipe.parts import FaceParts, Holds, Mesh
+from facepipe.parts import Blendshape, FaceParts, Holds, Mesh
 from facepipe.payload import PayloadContent, encode
 from facepipe.payload.person import decode_person, encode_person
 from facepipe.rig import build
@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def of_person(folder: Path) -> FaceParts:
-    """The head with the person's points and joints, and cards that lie on the skin; shapes are the head's."""
+    """The head with the person's points and joints, cards on the skin, and lids as Python fits them to the eyeballs."""
     points = head_basis().rebuilt(decode_person((folder / "me.fpb").read_bytes(), "me"), "me") / 10
     parts = held(facepipe.open(folder / "head.usdc").parts())
     ends = np.cumsum([mesh.points for mesh in head_basis().content.meshes])
@@ -60,7 +60,37 @@ def of_person(folder: Path) -> FaceParts:
             meshes.append(replace(mesh, points=placed))
     joints = replace(parts.skeleton, bind_transforms=skeleton(points).bind_transforms)
     joints = replace(joints, rest_transforms=skeleton(points).rest_transforms)
-    return replace(parts, meshes=tuple(meshes), skeleton=joints)
+    whole = replace(parts, meshes=tuple(meshes), skeleton=joints)
+    fitted = with_own_lids(whole, points)
+    skin, before = fitted.meshes[0], parts.meshes[0]
+    for number, mesh in enumerate(whole.meshes):
+        if mesh.holds is not None and mesh.holds.mesh == skin.name:
+            shapes = tuple(_farther(shape, mesh, before, skin) for shape in mesh.blendshapes)
+            meshes[number] = replace(mesh, blendshapes=shapes)
+        else:
+            meshes[number] = fitted.meshes[number]
+    return replace(whole, meshes=tuple(meshes))
+
+
+def _farther(shape: Blendshape, mesh: Mesh, before: Mesh, skin: Mesh) -> Blendshape:
+    """A shape of cards that goes as much farther as the skin does below them."""
+    if shape.name not in LIDS:
+        return shape
+    moves = []
+    for number in range(1 + len(shape.inbetweens)):
+        old, new, own = (_moves(one, shape.name, number) for one in (before, skin, mesh))
+        moves.append(own + np.einsum("nk,nkc->nc", mesh.holds.shares, (new - old)[mesh.holds.corners]))
+    inbetweens = tuple(replace(one, offsets=own) for one, own in zip(shape.inbetweens, moves[1:], strict=True))
+    rows = np.arange(len(mesh.points), dtype=np.int32)
+    return replace(shape, point_indices=rows, offsets=moves[0], normal_offsets=None, inbetweens=inbetweens)
+
+
+def _moves(mesh: Mesh, name: str, number: int) -> np.ndarray:
+    """(n, 3) of a shape, or of one of its inbetweens."""
+    shape = next(one for one in mesh.blendshapes if one.name == name)
+    whole = np.zeros((len(mesh.points), 3))
+    whole[shape.point_indices] = (shape, *shape.inbetweens)[number].offsets
+    return whole
 
 
 def rows_of(path: Path, parts: FaceParts) -> np.ndarray:
@@ -84,7 +114,7 @@ def shown(folder: Path, *words: str, head: str = "head.glb", person: str = "me.f
     return np.fromfile(folder / "out.bin", "<f4").reshape(-1, 3)
 
 
-WEIGHTS = {"jawOpen": 0.7, "eyeBlinkLeft": 0.4, "mouthSmileLeft": 1.2, "browInnerUp": -0.5}
+WEIGHTS = {"jawOpen": 0.7, "eyeBlinkLeft": 0.4, "eyeLookDownRight": 0.8, "mouthSmileLeft": 1.2, "browInnerUp": -0.5}
 
 
 def bones(count: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from device_readers import corpus_disagreements, csharp_driver
-from rebuilt_people import PEOPLE, assert_rebuilt_as_python
+from rebuilt_people import HEADS, PEOPLE, assert_lids_as_python, assert_rebuilt_as_python
 
 pytestmark = pytest.mark.slow
 
@@ -14,6 +14,11 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_points_and_joints_are_pythons(name: str, tmp_path: Path) -> None:
     assert_rebuilt_as_python(csharp_driver(), name, tmp_path)
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_blinks_and_looks_are_pythons(name: str, tmp_path: Path) -> None:
+    assert_lids_as_python(csharp_driver(), name, tmp_path)
 
 
 def test_no_case_of_20_000_is_judged_otherwise(corpus_of_20_000: Path) -> None:

@@ -9,7 +9,7 @@ import person_corpus
 import pytest
 from device_readers import corpus_disagreements, run
 from places import SUPPORT
-from rebuilt_people import PEOPLE, assert_rebuilt_as_python
+from rebuilt_people import HEADS, PEOPLE, assert_lids_as_python, assert_rebuilt_as_python
 
 pytestmark = pytest.mark.slow  # the runtime is built
 
@@ -29,6 +29,12 @@ def test_points_and_joints_are_pythons(driver: list[str], name: str, tmp_path: P
 def test_verdicts_are_pythons(driver: list[str], tmp_path: Path) -> None:
     person_corpus.write(tmp_path, 400, seed=1)
     assert corpus_disagreements(driver, tmp_path) == []
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("name", HEADS)
+def test_blinks_and_looks_are_pythons(driver: list[str], name: str, tmp_path: Path) -> None:
+    assert_lids_as_python(driver, name, tmp_path)
 
 
 def test_no_case_of_20_000_is_judged_otherwise(driver: list[str], corpus_of_20_000: Path) -> None:

@@ -27,6 +27,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.point_levels import PointLevels
 from facepipe.payload.basis import (
     IDENTITY_JOINTS,
+    LIDS,
     BasisContent,
     JointPlace,
     JointWeights,
@@ -38,6 +39,7 @@ from facepipe.payload.basis import (
     encode_basis,
 )
 from facepipe.payload.coefficients import PayloadContent, decode, encode, joints_hash, read_header
+from facepipe.payload.lid_tables import WAYS, EyeTables, LidTables
 from facepipe.payload.person import (
     COEFFICIENTS,
     JOINTS,
@@ -94,6 +96,36 @@ def grid_basis(side: int = 12, modes: int = 3) -> BasisContent:
         parts=(RigidRows(np.arange(144, 149), with_modes=False), RigidRows(np.array([0, 1, 7]), with_modes=True)),
         joints=(JointPlace("root/jaw", np.array([3, 9]), np.array([0.25, 0.75])),),
         identity_joints=joints,
+        lids=_grid_lids(len(points)) if side == 12 else None,
+    )
+
+
+def _grid_lids(points: int) -> LidTables:
+    """Lids of two eyes on a square, of ten rings with a point above and one below each."""
+    rng = np.random.default_rng(1)
+    eyes = tuple(
+        EyeTables(
+            lids=first + np.arange(20),
+            shell=first + np.arange(20, 27),
+            ball=(points - 5, points - 1),
+            centre=np.array([first, 20.0, -15.0]),
+            joints=(0, 0),
+            shares=rng.random((2, 20)),
+            balls=rng.normal(size=(2, 4)).astype(np.float32).astype(np.float64),
+            stretches=rng.normal(size=(2, 2)).astype(np.float32).astype(np.float64),
+            ends=rng.normal(size=(2, 20, 3)),
+            ways=rng.normal(size=(len(WAYS), 20, 3)),
+        )
+        for first in (12, 72)
+    )
+    return LidTables(
+        rings=np.repeat(np.arange(10), 2),
+        upper=np.arange(20) % 2 == 0,
+        corners=(0, 19),
+        links=np.full(20, 3),
+        beside=tuple(rng.integers(0, 20, rng.integers(0, 4)) for _ in range(20)),
+        reach=rng.uniform(10, 12, (4, 4)),
+        eyes=(eyes[0], eyes[1]),
     )
 
 
@@ -175,7 +207,8 @@ def person_verdict(basis: Basis, data: bytes) -> str:
 def basis_verdict(data: bytes) -> str:
     """The line of a basis: of the points that all its modes give, and a step of 1 mm of all numbers of its joints.
 
-    Digests are the names that others give them.
+    Beside places of joints are all numbers of what lids are fitted by, the right eye's as the file has them. Digests
+    are the names that others give them.
     """
     try:
         content, _ = decode_basis(data, "case", trusted=True)
@@ -184,7 +217,16 @@ def basis_verdict(data: bytes) -> str:
     points = content.mean + content.step * content.modes.sum(axis=0, dtype=np.int64).T
     if joints := _of(content).joints:
         points[joints.rows] += joints.offsets(coefficients_of_steps(np.ones((len(joints.places), 9)), 1.0))
-    return _line(points, content)
+    return _line(points, content, [] if content.lids is None else _numbers_of_lids(content.lids))
+
+
+def _numbers_of_lids(lids: LidTables) -> list[np.ndarray]:
+    found = [lids.reach]
+    for eye, sign in zip(lids.eyes, (1, -1), strict=True):
+        mirror = np.array([sign, 1, 1])
+        balls = eye.balls * np.append(mirror, 1)
+        found += [eye.centre * mirror, eye.shares, balls, eye.stretches, eye.ends * mirror, eye.ways * mirror]
+    return found
 
 
 def poses_verdict(data: bytes) -> str:
@@ -199,9 +241,9 @@ def poses_verdict(data: bytes) -> str:
     return _figures(content.frames.ravel(), np.zeros(0) if content.times is None else content.times)
 
 
-def _line(points: np.ndarray, content: BasisContent) -> str:
+def _line(points: np.ndarray, content: BasisContent, others: Sequence[np.ndarray] = ()) -> str:
     joints = [joint.shares @ points[joint.points] for joint in content.joints]
-    return _figures(points.ravel(), np.ravel(joints))
+    return _figures(points.ravel(), np.concatenate([np.zeros(0), *joints, *map(np.ravel, others)]))
 
 
 def _figures(*both: np.ndarray) -> str:
@@ -272,6 +314,7 @@ def sound_basis(rng: Rng) -> bytes:
     content = rng.choice([grid_basis(), basis("studio").content, grid_basis(3, 1)])
     if rng.random() < 0.5:
         content = replace(content, parts=(), joints=content.joints[: rng.randint(0, 1)])
+        content = replace(content, lids=content.lids if content.joints else None)
     if rng.random() < 0.3:
         content = replace(content, identity_joints=None)
     return sealed_basis(rng, basis_body(content))
@@ -444,9 +487,11 @@ def _rows_of_basis(rng: Rng, data: bytes) -> bytes:
 def _joints_of_basis(rng: Rng, data: bytes) -> bytes:
     """Counts, places, joints and weights of identity joints."""
     rows = _sections_of_basis(zlib.decompress(data[_HEAD:]))
-    if rows[-1].kind != IDENTITY_JOINTS:
+    kinds = [row.kind for row in rows]
+    if IDENTITY_JOINTS not in kinds:
         return data
-    own = bytearray(rows[-1].data)
+    number = kinds.index(IDENTITY_JOINTS)
+    own = bytearray(rows[number].data)
     what, joints = rng.randrange(5), own[0]
     if what == 0:
         place = rng.choice([0, 1, 2, 6, 9])
@@ -460,6 +505,24 @@ def _joints_of_basis(rng: Rng, data: bytes) -> bytes:
         place = rng.randrange(10 + 12 * joints, len(own))
         own[place] = rng.choice([own[place] + 1 & 255, 0, joints - 1, joints])
     own += bytes(rng.random() < 0.2)  # one more
+    rows[number] = rows[number]._replace(data=bytes(own))
+    return sealed_basis(rng, written_sections(rows))
+
+
+def _lids_of_basis(rng: Rng, data: bytes) -> bytes:
+    """Counts, rings, rows and numbers of what lids are fitted by."""
+    rows = _sections_of_basis(zlib.decompress(data[_HEAD:]))
+    if rows[-1].kind != LIDS:
+        return data
+    own = bytearray(rows[-1].data)
+    for _ in range(rng.randint(1, 2)):
+        what = rng.randrange(4)
+        place = rng.randrange((9, 9 + 4 * 20, len(own), len(own) - 3)[what])
+        if what == 3:
+            own[place : place + 4] = struct.pack("<f", rng.choice((np.nan, -np.inf, 3e38, 1e5, -1e5, 100_001)))
+        else:
+            own[place] = rng.choice([own[place] + 1 & 255, own[place] - 1 & 255, 0, 19, 20, 255])
+    own += bytes(rng.random() < 0.1)  # one more
     return sealed_basis(rng, written_sections([*rows[:-1], rows[-1]._replace(data=bytes(own))]))
 
 
@@ -489,7 +552,7 @@ def _file_of_basis(rng: Rng, data: bytes) -> bytes:
 
 
 _BASIS_DAMAGES: tuple[_Damage, ...] = (
-    *(_body_of_basis, _body_of_basis, _rows_of_basis, _cut_of_basis, _joints_of_basis, _stream),
+    *(_body_of_basis, _body_of_basis, _rows_of_basis, _cut_of_basis, _joints_of_basis, _lids_of_basis, _stream),
     *(_reached, _reached, _file_of_basis),
 )
 

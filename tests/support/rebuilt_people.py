@@ -57,6 +57,7 @@ PEOPLE: Mapping[str, tuple[str, Callable[[], bytes]]] = {  # which basis, and th
     "studio": ("studio", lambda: encode_points(basis("studio"), whole_points(made(1)), within=0.05)[0]),
     "square": ("square", _square),
 }
+HEADS = [name for name, (of, _) in PEOPLE.items() if of == "head"]
 
 
 def assert_rebuilt_as_python(driver: Sequence[str], name: str, folder: Path) -> None:

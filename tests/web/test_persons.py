@@ -58,7 +58,7 @@ def points_of(face: Face, meshes: tuple[str, ...], values: np.ndarray) -> np.nda
 
 @pytest.mark.gate
 def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path) -> None:
-    """Points are those of `facepipe apply-bones`, moved by shapes, joints and sliders; taken off, the head is back."""
+    """Points are those of `facepipe apply-bones`, moved by shapes (lids too), joints, sliders; off, the head is back."""
     head, clip = tmp_path / "head.usdc", tmp_path / "clip.fpb"
     parts = make(0)
     joints = parts.skeleton.joints
@@ -83,7 +83,7 @@ def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path) -> None:
     steps += [
         {"upload": ["#payload", str(clip)]},
         until(said.format("clip.fpb")),
-        run("await face.setShapes({ jawOpen: 0.5 })"),
+        run("await face.setShapes({ jawOpen: 0.5, eyeBlinkLeft: 0.6, eyeLookUpRight: 1 })"),
         seen,
     ]
     with browser.viewing(head) as url:
@@ -95,7 +95,7 @@ def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path) -> None:
     assert np.abs(still - points_of(person, FACES, person.evaluate())).max() < 1e-6
     for found, values in (
         (slid, person.evaluate(sliders={"turn": 1.0})),
-        (posed, person.evaluate({"jawOpen": 0.5}, coefficients=poses)),
+        (posed, person.evaluate({"jawOpen": 0.5, "eyeBlinkLeft": 0.6, "eyeLookUpRight": 1.0}, coefficients=poses)),
     ):
         assert np.abs(found - points_of(person, FACES, values)).max() < 1e-7 * person.head_height
         assert np.abs(found - still).max() > 0.01

@@ -46,7 +46,28 @@ static class Corpus
         var steps = new int[9 * basis.IdentityJoints.Count];
         for (int i = 0; i < steps.Length; i++) steps[i] = 1;
         var person = new Person { Basis = basis.Digest, Modes = weights, Joints = steps, JointStep = 1 };
-        return basis.Rebuild(person, "case");
+        Rebuilt made = TryLids(basis, basis.Rebuild(person, "case"));
+        if (basis.Lids == null) return made;
+        var numbers = new List<double>(made.Joints);
+        numbers.AddRange(basis.Lids.Reach);
+        foreach (LidEye eye in basis.Lids.Eyes)
+            foreach (double[] own in new[] { eye.Centre, eye.Shares, eye.Balls, eye.Stretches, eye.Ends, eye.Ways })
+                numbers.AddRange(own);
+        made.Joints = numbers.ToArray();
+        return made;
+    }
+
+    // Lids of whatever points: offsets, or one line.
+    static Rebuilt TryLids(Basis basis, Rebuilt made)
+    {
+        try
+        {
+            basis.FittedLids(made, "case");
+        }
+        catch (FacepipeException)
+        {
+        }
+        return made;
     }
 
     static double Milliseconds() { return Process.GetCurrentProcess().TotalProcessorTime.TotalMilliseconds; }
@@ -63,7 +84,7 @@ static class Corpus
         if (words[0] == "persons")
         {
             foreach (byte[] one in Cases(words[2]))
-                Console.WriteLine(Line(() => basis.Rebuild(Person.Read(one, "case"), "case")));
+                Console.WriteLine(Line(() => TryLids(basis, basis.Rebuild(Person.Read(one, "case"), "case"))));
             return;
         }
         double loaded = Milliseconds();

@@ -49,6 +49,14 @@ static void line(const Case& of) {
   }
 }
 
+// Lids of whatever points: offsets, or one line.
+static void try_lids(const Basis& basis, const Rebuilt& made) {
+  try {
+    fitted_lids(basis, made, "case");
+  } catch (const Error&) {
+  }
+}
+
 static double seconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 
 int main(int count, char** words) {
@@ -62,7 +70,18 @@ int main(int count, char** words) {
         person.modes.assign(basis.mode_count, 1.0);
         person.joints.assign(9 * basis.identity.count(), 1);
         person.joint_step = 1;
-        return rebuild(basis, person, "case");
+        Rebuilt made = rebuild(basis, person, "case");
+        const auto more = [&](const std::vector<double>& some) {
+          made.joints.insert(made.joints.end(), some.begin(), some.end());
+        };
+        if (basis.lids.rings.empty()) return made;
+        try_lids(basis, made);
+        more(basis.lids.reach);
+        for (const LidEye& eye : basis.lids.eyes) {
+          more({eye.centre[0], eye.centre[1], eye.centre[2]}), more(eye.shares), more(eye.balls), more(eye.stretches);
+          more(eye.ends), more(eye.ways);
+        }
+        return made;
       });
     return 0;
   }
@@ -77,7 +96,12 @@ int main(int count, char** words) {
   const double before = seconds();
   const Basis basis = read_basis(read_file(words[2]), words[2]);
   if (what == "persons") {
-    for (const Bytes& one : cases(words[3])) line([&] { return rebuild(basis, read_person(one, "case"), "case"); });
+    for (const Bytes& one : cases(words[3]))
+      line([&] {
+        const Rebuilt made = rebuild(basis, read_person(one, "case"), "case");
+        try_lids(basis, made);
+        return made;
+      });
     return 0;
   }
   const double loaded = seconds();

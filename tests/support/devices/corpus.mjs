@@ -21,7 +21,11 @@ if (what === "bases") {
     const basis = await readBasis(bytes, "case");
     const joints = { step: 1, numbers: new Array(basis.identityJoints?.places.length * 3 || 0).fill(1) };
     const modes = basis.modes.map(() => 1);
-    return made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes, placement: null, parts: [], points: [], joints }));
+    const [points, places] = made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes, placement: null, parts: [], points: [], joints }));
+    const eyes = basis.lids?.eyes ?? [];
+    const numbers = eyes.flatMap((eye) => [eye.centre, eye.shares, eye.balls, eye.stretches, eye.ends, eye.ways]);
+    tryLids(basis, points);
+    return [points, [places, basis.lids?.reach ?? [], ...numbers].flatMap((one) => Array.from(one))];
   });
 } else if (what === "poses") {
   await judge(files[0], (bytes) => {
@@ -33,7 +37,7 @@ if (what === "bases") {
   const basis = await readBasis(read(files[0]), files[0]);
   const loaded = processor() - before;
   const person = (bytes) => made(basis, rebuilt(basis, parsePerson(bytes, "case")));
-  if (what === "persons") await judge(files[1], person);
+  if (what === "persons") await judge(files[1], (bytes) => tryLids(basis, person(bytes)[0]) && person(bytes));
   else if (what === "points") write(person(read(files[1])));
   else if (what === "lids") {
     const shapes = fittedLids(basis, person(read(files[1]))[0]);
@@ -56,6 +60,16 @@ if (what === "bases") {
 
 function write(arrays) {
   writeFileSync(files[2], Buffer.concat(arrays.map((one) => new Uint8Array(one.buffer))));
+}
+
+/** Lids of whatever points: offsets, or one line. */
+function tryLids(basis, points) {
+  try {
+    fittedLids(basis, points);
+  } catch (error) {
+    if (!(error instanceof FaceError)) throw error;
+  }
+  return true;
 }
 
 function made(basis, points) {

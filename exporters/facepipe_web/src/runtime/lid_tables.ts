@@ -92,8 +92,7 @@ function readEye(bytes: Bytes, count: number, sliders: number, mean: Float64Arra
   const [ends, ways] = [sliders, WAYS].map((times) => interleaved(sums(bytes, count, 3 * times, GRID), count));
   const outside = shell.map((row) => {
     const way = [0, 1, 2].map((axis) => (axis ? 1 : mirror) * mean[axis * points + row] - centre[axis]);
-    const length = Math.hypot(...way);
-    if (!(length > 0)) throw bytes.wrong("an eyeball's outside in its middle");
+    const length = Math.max(Math.hypot(...way), 1e-9);
     return [...way.map((one) => one / length), length];
   });
   const sorted = Float64Array.from(outside.sort((a, b) => a[1] - b[1]).flat());
