@@ -58,7 +58,7 @@ def points_of(face: Face, meshes: tuple[str, ...], values: np.ndarray) -> np.nda
 
 @pytest.mark.gate
 def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path) -> None:
-    """Points are those of `facepipe apply-bones`, moved by shapes (lids too), joints, sliders; off, the head is back."""
+    """Points are those of `facepipe apply-bones`, moved by shapes, lids too, joints, sliders; off, the head is back."""
     head, clip = tmp_path / "head.usdc", tmp_path / "clip.fpb"
     parts = make(0)
     joints = parts.skeleton.joints

@@ -8,7 +8,7 @@ import { along } from "./targets";
 const MM = 1e-3; // metres
 const STILL = 1e-6; // of a target at the weight that its offsets are at
 
-const kept = new WeakMap<BufferGeometry, Map<number, BufferGeometry["morphAttributes"]["position"][number]>>(); // the file's
+const kept = new WeakMap<BufferGeometry, Map<number, NonNullable<BufferGeometry["morphAttributes"]["position"]>[number]>>(); // the file's
 
 /**
  * Put shapes in place of those of the file: points of lids go as they say, and what lies on these goes as much farther.
@@ -55,7 +55,7 @@ export function resetLids(meshes: FaceMesh[]): void {
   for (const { geometry } of meshes.flatMap((mesh) => mesh.primitives)) {
     const file = kept.get(geometry);
     if (!file) continue;
-    for (const [target, attribute] of file) geometry.morphAttributes.position[target] = attribute;
+    for (const [target, attribute] of file) geometry.morphAttributes.position![target] = attribute;
     kept.delete(geometry);
     geometry.dispose(); // three.js has targets in a texture that it makes once
   }
@@ -67,10 +67,10 @@ function own(geometry: BufferGeometry, target: number): Float32Array {
     kept.set(geometry, new Map());
     geometry.dispose();
   }
-  const file = geometry.morphAttributes.position[target];
+  const file = geometry.morphAttributes.position![target];
   kept.get(geometry)!.set(target, file);
   const made = new Float32Array(3 * file.count);
   for (let i = 0; i < file.count; i++) made.set([file.getX(i), file.getY(i), file.getZ(i)], 3 * i);
-  geometry.morphAttributes.position[target] = new BufferAttribute(made, 3);
+  geometry.morphAttributes.position![target] = new BufferAttribute(made, 3);
   return made;
 }
