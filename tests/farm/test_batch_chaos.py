@@ -19,7 +19,7 @@ import psutil
 import pytest
 from conftest import PLAN, Runner
 from faces import tiny_face, with_meshes
-from farm_cluster import Farm, children, farm_in, until
+from farm_cluster import PATIENCE, Farm, children, farm_in, until
 from places import SUPPORT
 from textures import COLORS, picture, textured
 
@@ -121,11 +121,11 @@ def test_batch_scheduler_and_nanny_are_killed_one_after_the_other(
     process.communicate()
     first = recorded(show)
 
-    process = start(show, "--cluster", farm.address)
+    process = start(show, "--cluster", farm.address, "--quiet")
     until(lambda: len(recorded(show)) > len(first) + 3)
     orphans = {one for worker in farm.workers for one in children(worker)}
     farm.restart()
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (1, "")
     second = recorded(show)
     assert len(second) == 2 * FACES - tasks_left(out)
@@ -135,7 +135,7 @@ def test_batch_scheduler_and_nanny_are_killed_one_after_the_other(
     until(lambda: len(recorded(show)) > len(second) + 3 and len(children(nanny)) > 2)
     orphans |= children(nanny)
     nanny.kill()
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, "failed" in out + err) == (0, False)
 
     last = recorded(show)
@@ -179,12 +179,12 @@ def test_a_second_batch_of_one_state_is_refused_at_once(show: Path, expected: di
     (show / "plan.toml").write_text(PLAN.replace("copy {face}", f"wait {mark} {{face}}"))
     first = start(show)
     until((show / "waits").exists)
-    out, err = start(show).communicate(timeout=60)
+    out, err = start(show).communicate(timeout=PATIENCE)
     assert (out, err.count("\n")) == ("", 1)
     assert "tasks.jsonl: is being changed by another process, expected one at a time" in err
     assert not (show / "built/game").exists()
     mark.touch()
-    assert first.communicate(timeout=60)[1].endswith(f"{2 * FACES} made\n")
+    assert first.communicate(timeout=PATIENCE)[1].endswith(f"{2 * FACES} made\n")
     assert results(show) == expected
     assert set(Counter((show / "log").read_text().split()).values()) == {1}
 

@@ -19,7 +19,7 @@ import pytest
 from command_line import Capsys
 from command_line import run as command
 from conftest import PLAN
-from farm_cluster import Farm, children, farm_in, until
+from farm_cluster import PATIENCE, Farm, children, farm_in, until
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
@@ -184,11 +184,11 @@ def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: 
     farm.worker()
     slow = SLOW.replace("0.2", "0.1")
     (show / "plan.toml").write_text(slow)
-    words = ["batch", str(show / "plan.toml"), "--state", str(show / "state"), "--thumbnails", "0"]
+    words = ["batch", str(show / "plan.toml"), "--state", str(show / "state"), "--thumbnails", "0", "--quiet"]
     process = subprocess.Popen([*FACEPIPE, *words, "--cluster", farm.address], stdout=-1, stderr=-1, text=True)
     until(lambda: len(log(show)) > 3)
     farm.scheduler.kill()
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (1, "")
     (line,) = [splitline for splitline in out.splitlines() if "gone" in splitline]
     left = int(re.fullmatch(r"failed: the cluster is gone: (\d+) tasks are left, run it again to do them", line)[1])

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import psutil
 
-_PATIENCE = 60.0  # seconds
+PATIENCE = 300.0  # seconds, of machines that are busy with others too
 T = TypeVar("T")
 
 
@@ -82,7 +82,7 @@ def farm_in(folder: Path, workers: int = 0, made_up: bool = True) -> Iterator[Fa
         farm.end()
 
 
-def until(asked: Callable[[], T], seconds: float = _PATIENCE) -> T:
+def until(asked: Callable[[], T], seconds: float = PATIENCE) -> T:
     """What `asked` gives as soon as it is true.
 
     :raises AssertionError: it never was
