@@ -29,10 +29,10 @@ from arguments import positive
 from tables import aligned
 
 from facepipe.core import __version__
-from facepipe.farm import child
 from facepipe.farm.batch import _IN_FLIGHT, Run
-from facepipe.farm.ledger import FILE, ledger_in
 from facepipe.farm.plan import Plan, Row, RunOptions, Step, plan_of
+from facepipe.tasks import child
+from facepipe.tasks.ledger import FILE, ledger_in
 
 Json = dict[str, Any]
 STEPS = 4

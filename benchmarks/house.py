@@ -80,6 +80,7 @@ WINGS = {
     "facepipe.neural": "neural",
     "facepipe.processors.neural_rig": "neural",
     "facepipe.farm": "farm",
+    "facepipe.tasks": "farm",
     "facepipe.cli.batch_child": "farm",
     "facepipe.cli.batch_command": "farm",
     "facepipe.server": "server",

@@ -178,10 +178,10 @@ FIELDS = (
     FileField("plan", "glob at a URL", "facepipe.farm.plan:_of_glob", "checked", _URL),
     FileField("plan", "glob", "facepipe.farm.plan:_matching", "check_copied", _BELOW),
     FileField("plan", "out", "facepipe.farm.plan:read_plan", "check_writable", _WITHIN),
-    FileField("plan", "results", "facepipe.farm.program:_check_places", "is_writable", _WITHIN),
+    FileField("plan", "results", "facepipe.tasks.program:_check_places", "is_writable", _WITHIN),
     FileField("state folder", "itself", "facepipe.farm.batch:batch", "check_written", _WITHIN),
     FileField("ledger", "reads, writes", "facepipe.farm.batch:Run._last", "", _REACHED),
-    FileField("cache of results", "writes", "facepipe.farm.contents:Cache.fetch", "is_writable", _WITHIN),
+    FileField("cache of results", "writes", "facepipe.tasks.contents:Cache.fetch", "is_writable", _WITHIN),
 )
 
 

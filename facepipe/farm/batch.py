@@ -23,9 +23,6 @@ from facepipe.core.markup import Markup, heading, joined, page, ruled_table, tag
 from facepipe.core.policy.paths import Reach, check_written, checked, is_url, roots_of, trust
 from facepipe.core.reports import Report
 from facepipe.declare import check_ranges
-from facepipe.farm.child import LOST, Cluster, Engine, Processes
-from facepipe.farm.contents import state_of, unchanged
-from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Ledger, Record, ledger_in
 from facepipe.farm.plan import (
     Plan,
     RunOptions,
@@ -39,8 +36,11 @@ from facepipe.farm.plan import (
     tasks_named,
     tasks_of,
 )
-from facepipe.farm.remote import States
 from facepipe.stage.files import SUFFIXES
+from facepipe.tasks.child import LOST, Cluster, Engine, Processes
+from facepipe.tasks.contents import state_of, unchanged
+from facepipe.tasks.ledger import CACHED, FAILED, KEPT, MADE, Ledger, Record, ledger_in
+from facepipe.tasks.remote import States
 
 DONE = (MADE, KEPT, CACHED)
 SKIPPED = "skipped"  # what it needs failed

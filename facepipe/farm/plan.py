@@ -39,7 +39,7 @@ from facepipe.core.placing import relative
 from facepipe.core.policy.paths import check_copied, check_writable, checked, is_url, placed, trust
 from facepipe.core.reading import read_bytes, read_toml
 from facepipe.declare import fields_of, option
-from facepipe.farm.remote import Store
+from facepipe.tasks.remote import Store
 
 _MOST_CSV = 1 << 27  # of a CSV file
 _MOST_ROWS = 1_000_000

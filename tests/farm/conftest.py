@@ -13,9 +13,9 @@ from farm_forks import Fork
 from places import REPOSITORY
 
 from facepipe.core.policy import children
-from facepipe.farm import child
 from facepipe.farm.batch import BatchReport, batch
 from facepipe.farm.plan import RunOptions, read_plan
+from facepipe.tasks import child
 
 Runner = Callable[..., BatchReport]
 

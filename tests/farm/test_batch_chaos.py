@@ -24,11 +24,11 @@ from places import SUPPORT
 from textures import COLORS, picture, textured
 
 from facepipe.core.locks import try_lock
-from facepipe.farm import child
 from facepipe.farm.batch import batch
 from facepipe.farm.plan import read_plan
 from facepipe.parts import Material
 from facepipe.stage import save_parts
+from facepipe.tasks import child
 
 FACES = 12
 _started: list[subprocess.Popen[str]] = []

@@ -23,9 +23,9 @@ from farm_cluster import PATIENCE, Farm, children, farm_in, until
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.farm import child
 from facepipe.farm.batch import BatchReport, batch
 from facepipe.farm.plan import RunOptions, read_plan
+from facepipe.tasks import child
 
 pytest.importorskip("distributed")
 FACEPIPE = [sys.executable, "-m", "facepipe"]

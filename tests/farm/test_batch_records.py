@@ -20,10 +20,10 @@ from trespass import trespassing
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Reach, Trust, private_folder, trusting, typed_roots
 from facepipe.farm.batch import batch
-from facepipe.farm.contents import Contents
-from facepipe.farm.ledger import FILE, is_outcome, is_record, ledger_in, parsed
-from facepipe.farm.mirror import mirror
 from facepipe.farm.plan import read_plan
+from facepipe.tasks.contents import Contents
+from facepipe.tasks.ledger import FILE, is_outcome, is_record, ledger_in, parsed
+from facepipe.tasks.mirror import mirror
 
 RECORD: dict[str, Any] = {
     "task": "game/a", "status": "made", "version": "0", "key": "k", "seconds": 0.5, "verb": "export", "missed": False,

@@ -20,10 +20,10 @@ from textures import COLORS, picture, textured
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trust, trusting
 from facepipe.farm.batch import BatchReport, batch
-from facepipe.farm.mirror import mirror
 from facepipe.farm.plan import read_plan
 from facepipe.parts import Material
 from facepipe.stage import save_parts
+from facepipe.tasks.mirror import mirror
 
 fsspec = pytest.importorskip("fsspec")
 pytest.importorskip("s3fs")

@@ -18,9 +18,9 @@ from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import trust, trusting
-from facepipe.farm import remote
-from facepipe.farm.mirror import mirror
-from facepipe.farm.remote import Store, StoreError
+from facepipe.tasks import remote
+from facepipe.tasks.mirror import mirror
+from facepipe.tasks.remote import Store, StoreError
 
 fsspec = pytest.importorskip("fsspec")
 s3fs = pytest.importorskip("s3fs")

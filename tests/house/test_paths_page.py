@@ -261,5 +261,5 @@ def _modules() -> Iterator[tuple[Path, str]]:
             if not words.search(file.read_text(encoding="utf-8")):
                 continue
             name = ".".join(file.relative_to(root.parent).with_suffix("").parts).removesuffix(".__init__")
-            if not name.startswith(("facepipe.core", "facepipe.farm")):
+            if not name.startswith(("facepipe.core", "facepipe.farm", "facepipe.tasks")):
                 yield file, name

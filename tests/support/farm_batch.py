@@ -7,7 +7,7 @@ import sys
 import farm_child
 
 from facepipe.cli import main
-from facepipe.farm import child
+from facepipe.tasks import child
 
 if __name__ == "__main__":
     child.PROGRAM = farm_child.__name__

@@ -14,9 +14,9 @@ from facepipe import core
 
 core.__version__ = os.environ.get("FARM_VERSION", core.__version__)  # before others take it
 
-from facepipe.farm import program  # noqa: E402
-from facepipe.farm.program import Line, Outcome, main  # noqa: E402
-from facepipe.farm.program import read_line as read_command  # noqa: E402
+from facepipe.tasks import program  # noqa: E402
+from facepipe.tasks.program import Line, Outcome, main  # noqa: E402
+from facepipe.tasks.program import read_line as read_command  # noqa: E402
 
 _kept: list[bytes] = []
 

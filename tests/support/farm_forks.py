@@ -17,7 +17,7 @@ _FORKS.set_forkserver_preload(["farm_child", "s3fs"])
 
 
 class Fork:
-    """What `facepipe.farm.child` asks of a process that `children.start` starts, for the program `farm_child`."""
+    """What `facepipe.tasks.child` asks of a process that `children.start` starts, for the program `farm_child`."""
 
     def __init__(self, words: list[str], more: Mapping[str, str], **pipes: Any) -> None:
         """:param words, pipes: not used: the program and its pipes are always the same"""

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 import farm_child
 
-from facepipe.farm import child
+from facepipe.tasks import child
 
 child.PROGRAM = farm_child.__name__

@@ -1,7 +1,7 @@
 """Plans, their ledgers, caches of results and project files, damaged, and the commands that work with them.
 
 A batch does its tasks in this process instead of others, which take half a second to start: the engine below does what
-`facepipe.farm.program` does there.
+`facepipe.tasks.program` does there.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from small_sources import made
 from facepipe.cli import main
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.farm import batch
-from facepipe.farm.contents import Contents
-from facepipe.farm.mirror import mirror
-from facepipe.farm.program import read_line, work
 from facepipe.stage import save_parts
 from facepipe.stage.files import naming
+from facepipe.tasks.contents import Contents
+from facepipe.tasks.mirror import mirror
+from facepipe.tasks.program import read_line, work
 
 Rng = random.Random
 

@@ -181,9 +181,9 @@ _RECORDS = _changed("facepipe/core/policy/paths.py", "return bool(checked(name, 
 _WRITABLE = _changed("facepipe/cooking/cooking.py", "and is_writable(nodes[key].path, roots):", ":")
 _LOCK = _changed("facepipe/core/locks.py", "os.open(file, _FLAGS | os.O_CREAT if", "os.open(file, 1 | os.O_CREAT if")
 _LIBRARY = _changed("facepipe/importers/wavefront.py", "        if not is_file(path):", "        if False:")
-_NAMES_OF_LEDGERS = _changed("facepipe/farm/ledger.py", "is_shared = path.stat().st_nlink > 1", "is_shared = False")
-_REASONS = _changed("facepipe/farm/ledger.py", 'known = {"error"} if', "known = set() if")
-_DIGITS = _changed("facepipe/farm/ledger.py", "if len(text.lstrip", "if False and len(text.lstrip")
+_NAMES_OF_LEDGERS = _changed("facepipe/tasks/ledger.py", "is_shared = path.stat().st_nlink > 1", "is_shared = False")
+_REASONS = _changed("facepipe/tasks/ledger.py", 'known = {"error"} if', "known = set() if")
+_DIGITS = _changed("facepipe/tasks/ledger.py", "if len(text.lstrip", "if False and len(text.lstrip")
 QUIET: dict[str, tuple[Site, ...]] = {
     "state folder, ledger: hard link": (_NAMES_OF_LEDGERS,),
     "ledger, error: none": (_REASONS,),

@@ -34,7 +34,7 @@ class Trust:
     """A policy; without roots the root of a file is its project's folder, else its own."""
 
     roots: tuple[Path, ...] = ()
-    urls: tuple[str, ...] = ()  # roots in remote stores, for what reads and writes there (`facepipe.farm`)
+    urls: tuple[str, ...] = ()  # roots in remote stores, for what reads and writes there (`facepipe.tasks`)
     project: tuple[Path, ...] = ()  # folders of the caller's project, which are the roots of the files in them
     models: bool = False  # models that can hold code are loaded
     confined: bool = False  # files outside the roots are not even read: for hosts that serve others

@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError, system_errors
 from facepipe.core.locks import locked
 from facepipe.core.reading import check_input, check_regular, check_values
 
-Record = dict[str, Any]  # task, status, words, key, reads, writes, report, ... (`facepipe.farm.program`)
+Record = dict[str, Any]  # task, status, words, key, reads, writes, report, ... (`facepipe.tasks.program`)
 FILE = "tasks.jsonl"
 STATUSES = (MADE, KEPT, CACHED, FAILED) = ("made", "kept", "cached", "failed")
 _MOST_LINE = 1 << 24  # bytes: reports are brief, but a step once for all reads the results of 200,000 faces

@@ -19,10 +19,10 @@ from facepipe.core.atomic import hidden_folder
 from facepipe.core.errors import ChangedError, InputError, system_errors
 from facepipe.core.policy.paths import SCHEMES, checked, is_url, private_folder
 from facepipe.core.reading import digest
-from facepipe.farm import contents
-from facepipe.farm.contents import Cache
-from facepipe.farm.remote import State, Store, check_size, state_in
 from facepipe.stage.files import SUFFIXES, named_in
+from facepipe.tasks import contents
+from facepipe.tasks.contents import Cache
+from facepipe.tasks.remote import State, Store, check_size, state_in
 
 T = TypeVar("T")
 _SCHEME = re.compile(r"[\w.:+-]*://")

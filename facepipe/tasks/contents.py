@@ -22,9 +22,9 @@ from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import ChangedError, FacepipeError, InputError, system_errors
 from facepipe.core.policy.paths import check_readable, check_written, is_writable, trust
 from facepipe.core.reading import digest, read_bytes, read_json_object
-from facepipe.farm.ledger import is_outcome, parsed
 from facepipe.importers.wavefront import texture_name
 from facepipe.stage.files import SUFFIXES, dependencies, named_in
+from facepipe.tasks.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
 _PASSING = ".new-"

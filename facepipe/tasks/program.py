@@ -1,6 +1,6 @@
-"""The process that does tasks of `facepipe batch`: a line of JSON in for each, and one out; ends with its input.
+"""The process that does tasks of `facepipe batch` and `facepipe serve`: a line of JSON in for each, and one out.
 
-The first line has the settings: the folder that paths are relative to, the roots that confine all reads and writes, and
+It ends with its input. The first line has the settings: the folder that paths are relative to, the roots that confine all reads and writes, and
 the version of the asking process. A task's result is made, kept, or taken from a cache. Its key is a digest of the
 line, of all that it reads, and of the version: tasks of one key have the same results.
 """
@@ -35,15 +35,15 @@ from facepipe.core.locks import locked
 from facepipe.core.policy.paths import Trust, is_url, is_writable, trust, trusting
 from facepipe.core.reading import digest
 from facepipe.declare import fields_of
-from facepipe.farm.contents import Cache, Contents, named
-from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Record
-from facepipe.farm.mirror import Mirror, mirror
-from facepipe.farm.remote import StoreError
 from facepipe.kinds import Action, FileAction, InPlaceAction
 from facepipe.stage.array_files import arrays_file
 from facepipe.stage.files import SUFFIXES, naming
 from facepipe.stage.recipes import attribution_of
 from facepipe.stage.textures import texture_folder
+from facepipe.tasks.contents import Cache, Contents, named
+from facepipe.tasks.ledger import CACHED, FAILED, KEPT, MADE, Record
+from facepipe.tasks.mirror import Mirror, mirror
+from facepipe.tasks.remote import StoreError
 
 _MOST = 40  # entries of a list or mapping in a report that is kept
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.EROFS}

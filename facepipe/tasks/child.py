@@ -20,9 +20,9 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.policy import children
 from facepipe.core.policy.children import remote_python
 from facepipe.core.threads import THREADS
-from facepipe.farm.ledger import FAILED, Record
+from facepipe.tasks.ledger import FAILED, Record
 
-PROGRAM = "facepipe.farm.program"  # a module that answers requests, a line of JSON each, from its standard input
+PROGRAM = "facepipe.tasks.program"  # a module that answers requests, a line of JSON each, from its standard input
 LOST = "lost"  # status of a task whose process ended before it answered
 Done = Callable[[Record], object]
 _PAUSE = 0.2  # seconds between two looks at its memory

@@ -12,7 +12,7 @@ from fbx_files import Scene
 
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
-from facepipe.farm.mirror import Mirror, mirror
+from facepipe.tasks.mirror import Mirror, mirror
 
 fsspec = pytest.importorskip("fsspec")
 ROOT = "memory://show/src"
@@ -87,7 +87,7 @@ def test_a_name_after_a_file_and_a_result_are_no_files(copies: Mirror) -> None:
 
 
 def test_a_file_that_changes_while_it_is_read_is_read_again(copies: Mirror, monkeypatch: Any) -> None:
-    from facepipe.farm import remote
+    from facepipe.tasks import remote
 
     get, store = remote.Store.get, fsspec.filesystem("memory")
     left = [b"second"]

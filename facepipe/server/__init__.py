@@ -1,0 +1,1 @@
+"""Faces served: kept, worked on and streamed to browsers and devices, each person's apart."""
