@@ -1,8 +1,8 @@
 """The process that does tasks of `facepipe batch` and `facepipe serve`: a line of JSON in for each, and one out.
 
-It ends with its input. The first line has the settings: the folder that paths are relative to, the roots that confine all reads and writes, and
-the version of the asking process. A task's result is made, kept, or taken from a cache. Its key is a digest of the
-line, of all that it reads, and of the version: tasks of one key have the same results.
+It ends with its input. The first line has the settings: the folder that paths are relative to, the roots that confine
+all reads and writes, and the version of the asking process. A task's result is made, kept, or taken from a cache. Its
+key is a digest of the line, of all that it reads, and of the version: tasks of one key have the same results.
 """
 
 from __future__ import annotations
