@@ -58,6 +58,7 @@ class Action(ABC, Generic[R]):
 
     verb: ClassVar[str]
     summary: ClassVar[str]
+    remote: ClassVar[bool] = False  # a server does it for others
     own_flags: ClassVar[tuple[str, ...]] = ()  # fields whose flags `add_flags` adds, and `line_values` reads
 
     @classmethod
@@ -182,11 +183,14 @@ class Inspector(Action[R]):
         """
 
 
-def action(verb: str, summary: str) -> Callable[[type[A]], type[A]]:
-    """Declares an action: `facepipe VERB`; `summary` is its line in `facepipe --help`."""
+def action(verb: str, summary: str, *, remote: bool = False) -> Callable[[type[A]], type[A]]:
+    """Declares an action: `facepipe VERB`; `summary` is its line in `facepipe --help`.
+
+    :param remote: `facepipe serve` does it for others: it makes a face, of files that they send or have there
+    """
 
     def declare(kind: type[A]) -> type[A]:
-        kind.verb, kind.summary = verb, summary
+        kind.verb, kind.summary, kind.remote = verb, summary, remote
         return kind
 
     return declare

@@ -111,7 +111,8 @@ class Importer(Protocol):
 def manifest() -> dict[str, Any]:
     """What is known of the wings and the actions before one is imported; `python schemas/generate.py` makes it.
 
-    ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe. ``doors``: name -> module.
+    ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe, and whether
+    a server does it for others. ``doors``: name -> module.
     ``commands``: command of a wing -> its module and what it does. ``former``: name that a module had -> where it is.
     ``functions``: public function of a wing -> where it is.
     ``groups``: first word of verbs of two words -> text of --help.

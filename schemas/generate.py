@@ -78,6 +78,7 @@ def manifest(kinds: Mapping[str, type[Action[Any]]]) -> str:
         verb: {
             "class": _address(kind),
             "has_recipe": issubclass(kind, StageAction),
+            "remote": kind.remote,
             "report": _address(report_of(kind)),
             "summary": kind.summary,
         }

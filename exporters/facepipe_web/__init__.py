@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
+    from facepipe_web.build import page_files
     from facepipe_web.options import Options
-    from facepipe_web.viewer import Viewer, view
+    from facepipe_web.viewer import Viewer, view, write_assets
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["Options", "Viewer", "view"]
+__all__ = ["Options", "Viewer", "page_files", "view", "write_assets"]

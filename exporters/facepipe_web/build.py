@@ -40,6 +40,11 @@ def is_built() -> bool:
     return isinstance(stamp, dict) and stamp.get("sources") == sources_digest()
 
 
+def page_files() -> dict[str, Path]:
+    """Path on a server -> file of the page; nothing where it isn't built."""
+    return {f"/{file.relative_to(DIST).as_posix()}": file for file in DIST.rglob("*") if file.is_file()}
+
+
 def build() -> None:
     """Make dist/, whole or not at all; the node packages are installed where they are missing.
 

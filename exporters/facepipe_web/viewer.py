@@ -382,7 +382,7 @@ def view(
     if not build.is_built():
         what = "is older than its sources" if build.DIST.exists() else "is not built"
         raise InputError("viewer", f"{what}, expected `python -m facepipe_web.build` before (needs node 20 and npm)")
-    files = {f"/{file.relative_to(build.DIST).as_posix()}": file for file in build.DIST.rglob("*") if file.is_file()}
+    files = build.page_files()
     if basis is not None:
         _check_start(basis, b"FPBA", "a basis that `facepipe basis` wrote")
     files = files | {"/": build.DIST / "index.html", f"/{_BASIS}": basis or _HEAD_BASIS}

@@ -25,6 +25,7 @@ from facepipe.tasks.ledger import FAILED, Record
 PROGRAM = "facepipe.tasks.program"  # a module that answers requests, a line of JSON each, from its standard input
 LOST = "lost"  # status of a task whose process ended before it answered
 Done = Callable[[Record], object]
+Told = Callable[[Mapping[str, Any]], object]  # of progress: text, and share from 0 to 1
 _PAUSE = 0.2  # seconds between two looks at its memory
 _ONE_THREAD = dict.fromkeys(
     (
@@ -53,16 +54,23 @@ class Child:
     """The process, started for the first request and again after it was lost."""
 
     def __init__(self, setting: Mapping[str, Any]) -> None:
-        """:param setting: what the program is given first: folder, roots, models, version"""
+        """:param setting: what the program is given first: folder, roots, models, version; `program`: another one"""
         self._setting = setting
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
 
-    def ask(self, request: Mapping[str, Any], seconds: float | None, memory_mb: float | None) -> dict[str, Any]:
+    def ask(
+        self,
+        request: Mapping[str, Any],
+        seconds: float | None,
+        memory_mb: float | None,
+        told: Told | None = None,
+    ) -> dict[str, Any]:
         """The answer to a request.
 
         :param seconds: it may take
         :param memory_mb: the process may have
+        :param told: called with the progress of a request that asks for it
         :raises ChildLostError: it has ended, could not be started, or took more than that
         """
         try:
@@ -79,6 +87,10 @@ class Child:
                     why = f"signal {-code}" if code < 0 else f"exit code {code}"
                     raise ChildLostError(request["task"], f"its process ended ({why})")
                 record: dict[str, Any] = json.loads(answer)
+                if "progress" in record:
+                    if told is not None:
+                        told(record["progress"])
+                    continue
                 if record.pop("grown", False):
                     self.end()
                 return record
@@ -113,7 +125,7 @@ class Child:
 
     def _start(self) -> subprocess.Popen[bytes]:
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        process = children.start(children.python(PROGRAM), _ONE_THREAD, **pipes)
+        process = children.start(children.python(self._setting.get("program", PROGRAM)), _ONE_THREAD, **pipes)
         self._process, self._answers = process, queue.SimpleQueue()
         threading.Thread(target=_pump, args=(process.stdout, self._answers), daemon=True).start()
         self._send(process, self._setting)
@@ -139,17 +151,17 @@ class Engine(Protocol):
     The record of an engine that can go no further has the reason as `gone`; `warnings` are lines for the report.
     """
 
-    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done, told: Told | None = None) -> None:
         """Do a task, before those of a higher order."""
 
     def close(self) -> None:
         """End; what is being done is lost."""
 
 
-def answer(child: Child, request: Mapping[str, Any]) -> Record:
+def answer(child: Child, request: Mapping[str, Any], told: Told | None = None) -> Record:
     """A task done by a child; where that is lost, a record that says so."""
     try:
-        return child.ask(request, request.get("seconds"), request.get("memory_mb"))
+        return child.ask(request, request.get("seconds"), request.get("memory_mb"), told)
     except ChildLostError as error:
         return {"task": request["task"], "words": request["words"], "status": LOST, "error": str(error)}
     except FacepipeError as error:
@@ -162,26 +174,36 @@ class Processes:
     def __init__(self, count: int, setting: Mapping[str, Any]) -> None:
         self._tasks: queue.PriorityQueue[Any] = queue.PriorityQueue()
         self._numbers = itertools.count()
+        self._doing: dict[Child, str] = {}
         self._children = [Child(setting) for _ in range(count)]
         for child in self._children:
             threading.Thread(target=self._serve, args=(child,), daemon=True).start()
 
-    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done, told: Told | None = None) -> None:
         """Do a task, before those of a higher order."""
-        self._tasks.put((order, next(self._numbers), request, done))
+        self._tasks.put((order, next(self._numbers), request, done, told))
+
+    def cancel(self, task: str) -> None:
+        """End a task that is being done: it is lost."""
+        for child, doing in list(self._doing.items()):
+            if doing == task:
+                child.end()
 
     def close(self) -> None:
         """End; what is being done is lost."""
         for child in self._children:
-            self._tasks.put(((-(1 << 62),), next(self._numbers), None, None))
+            self._tasks.put(((-(1 << 62),), next(self._numbers), None, None, None))
             child.end()
 
     def _serve(self, child: Child) -> None:
         while True:
-            _, _, request, done = self._tasks.get()
+            _, _, request, done, told = self._tasks.get()
             if request is None:
                 return
-            done(answer(child, request))
+            self._doing[child] = request["task"]
+            record = answer(child, request, told)
+            self._doing.pop(child)
+            done(record)
 
 
 _children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and its setting
@@ -236,7 +258,7 @@ class Cluster:
             self._ends = ends.pop_all()
         threading.Thread(target=self._watch, daemon=True).start()
 
-    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done, told: Told | None = None) -> None:
         """Do a task, before those of a higher order."""
         self._last = request["task"], done
         self._client.loop.add_callback(self._follow, request, order, done)

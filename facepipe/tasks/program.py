@@ -18,9 +18,11 @@ import math
 import os
 import queue
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, NoReturn, cast
@@ -34,6 +36,7 @@ from facepipe.core.errors import ChangedError, FacepipeError, InputError, printa
 from facepipe.core.locks import locked
 from facepipe.core.policy.paths import Trust, is_url, is_writable, trust, trusting
 from facepipe.core.reading import digest
+from facepipe.core.reports import Bar, unwatched
 from facepipe.declare import fields_of
 from facepipe.kinds import Action, FileAction, InPlaceAction
 from facepipe.stage.array_files import arrays_file
@@ -48,6 +51,7 @@ from facepipe.tasks.remote import StoreError
 _MOST = 40  # entries of a list or mapping in a report that is kept
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.EROFS}
 _OTHERS = ("export", "import", "validate", "apply-bones")  # commands that are no actions, and can be steps
+_BETWEEN = 0.25  # seconds, at least, between two lines of progress
 _GROWTH = 40.0  # MB at rest that a process may gain before it is replaced: libraries lose some (cholespy each factor)
 
 
@@ -218,9 +222,71 @@ def main(read: Callable[[list[str]], Line] | None = None) -> None:
         with quiet_libraries(), mirror(setting["urls"], setting["local"], setting["local_bytes"]) as copies:
             roots = (*map(Path, setting["roots"]), *copies.roots)
             with trusting(Trust(roots=roots, models=setting["models"], confined=True)), naming(copies.name):
-                _serve(requests, answers, lambda request: work(request, read or read_line, contents, copies))
+
+                def do(request: Mapping[str, Any]) -> Record:
+                    with _confined(request), _watched(request, answers):
+                        return work(request, read or read_line, contents, copies)
+
+                _serve(requests, answers, do)
     except (FacepipeError, OSError) as error:  # before the first task
         _serve(requests, answers, _refusing(error))
+
+
+@contextlib.contextmanager
+def _confined(request: Mapping[str, Any]) -> Iterator[None]:
+    """A task that has a folder of its own reads and writes there alone, temporary files too."""
+    if "folder" not in request:
+        yield
+        return
+    os.chdir(request["folder"])
+    temporary, tempfile.tempdir = tempfile.tempdir, request["folder"]
+    try:
+        with trusting(Trust(roots=(Path(request["folder"]),), confined=True)):
+            yield
+    finally:
+        tempfile.tempdir = temporary
+
+
+_answers: ContextVar[tuple[str, IO[bytes]] | None] = ContextVar("facepipe_answers", default=None)
+
+
+@contextlib.contextmanager
+def _watched(request: Mapping[str, Any], answers: IO[bytes]) -> Iterator[None]:
+    token = _answers.set((request["task"], answers) if request.get("progress") else None)
+    try:
+        yield
+    finally:
+        _answers.reset(token)
+
+
+@contextlib.contextmanager
+def watch(label: str, steps: int) -> Iterator[Bar]:
+    """Progress of what a line does, for who asked for it: a line of JSON now and then."""
+    asked = _answers.get()
+    if asked is None:
+        with unwatched(label, steps) as unseen:
+            yield unseen
+        return
+    yield _Bar(label, steps, *asked)
+
+
+class _Bar:
+    def __init__(self, label: str, steps: int, task: str, answers: IO[bytes]) -> None:
+        self._label, self._steps, self._task, self._answers = label, max(1, steps), task, answers
+        self._done, self._said = 0, 0.0
+        self._say()
+
+    def update(self) -> None:
+        """One step is done."""
+        self._done += 1
+        if self._done >= self._steps or time.monotonic() > self._said + _BETWEEN:
+            self._say()
+
+    def _say(self) -> None:
+        self._said = time.monotonic()
+        progress = {"text": self._label, "share": min(1.0, self._done / self._steps)}
+        self._answers.write(json.dumps({"task": self._task, "progress": progress}).encode() + b"\n")
+        self._answers.flush()
 
 
 def _refusing(why: object) -> Callable[[Mapping[str, Any]], Record]:

@@ -100,6 +100,23 @@ class Store:
         with _asked(url), contextlib.suppress(FileNotFoundError):
             self._files.rm_file(url)
 
+    def remove_below(self, folder: str) -> None:
+        """Remove all files below a folder, in S3 all their versions too."""
+        with _asked(folder), contextlib.suppress(FileNotFoundError):
+            if self._scheme != "s3":
+                self._files.rm(list(self._files.find(folder)))
+                return
+            bucket, _, prefix = folder.removeprefix("s3://").partition("/")
+            asked: dict[str, str] = {"Bucket": bucket, "Prefix": f"{prefix}/"}
+            while True:  # a thousand at a time
+                found = self._files.call_s3("list_object_versions", **asked)
+                for one in (*found.get("Versions", ()), *found.get("DeleteMarkers", ())):
+                    named = {"Bucket": bucket, "Key": one["Key"], "VersionId": one["VersionId"]}
+                    self._files.call_s3("delete_object", **named)
+                if not found.get("IsTruncated"):
+                    return
+                asked |= {"KeyMarker": found["NextKeyMarker"], "VersionIdMarker": found["NextVersionIdMarker"]}
+
     def _url(self, name: str) -> str:
         return f"{self._scheme}://{str(name).lstrip('/')}"
 

@@ -52,7 +52,7 @@ class ApplyBonesReport(Report):
     left_out: tuple[int, ...] = ()  # of a person: kinds of sections that are not known
 
 
-@action("apply-bones", "rebuild a face from bone coefficients")
+@action("apply-bones", "rebuild a face from bone coefficients", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class ApplyCoefficients(StageAction[ApplyBonesReport]):
     """The action."""

@@ -32,7 +32,7 @@ class LandmarksReport(Report):
     mesh: str
 
 
-@action("landmarks", "author named landmarks")
+@action("landmarks", "author named landmarks", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class AuthorLandmarks(StageAction[LandmarksReport]):
     """The action."""

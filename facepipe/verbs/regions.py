@@ -72,7 +72,7 @@ class RegionsReport(Report):
     meshes: tuple[MeshRegions, ...]
 
 
-@action("regions", "list regions, or author them from a painted map")
+@action("regions", "list regions, or author them from a painted map", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class AuthorRegions(MapSampling, StageAction[RegionsReport]):
     """The action."""

@@ -23,7 +23,7 @@ class SampleReport(Report):
     joints: int
 
 
-@action("sample", "make the built-in head")
+@action("sample", "make the built-in head", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class Sample(FileAction[SampleReport]):
     """The action."""

@@ -72,7 +72,7 @@ def _indices(words: Sequence[str]) -> tuple[int, ...]:
     return tuple(map(int, words))
 
 
-@action("fit-photo", "find a person's sliders in photos")
+@action("fit-photo", "find a person's sliders in photos", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"]):
     """The action."""

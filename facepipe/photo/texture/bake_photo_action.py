@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _REPORT = r"report\.(html|json)|[^/]+\.render\.png"
 
 
-@action("bake-photo", "bake the colours of photos to a fitted face")
+@action("bake-photo", "bake the colours of photos to a fitted face", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class BakePhoto(LikenessOptions, StageAction["BakePhotoReport"]):
     """The action."""

@@ -182,7 +182,7 @@ class _OfScan(TemplateAction):
     scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos")
 
 
-@action("fit-neutral", "fit a face to the scan of a person")
+@action("fit-neutral", "fit a face to the scan of a person", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class FitNeutralAction(FittingAction, _OfScan):
     """The action."""

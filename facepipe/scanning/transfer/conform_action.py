@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 
-@action("conform", "give a template the shape of a head of others")
+@action("conform", "give a template the shape of a head of others", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class ConformAction(FittingAction):
     """The action."""

@@ -40,7 +40,7 @@ _NAMES = r"index\.html|report\.json|shapes\.png"  # in the folder of the report
 _STEPS = 70  # of the fit, at most 17, and one a shape
 
 
-@action("transfer", "give a head of others the shapes of a template")
+@action("transfer", "give a head of others the shapes of a template", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class TransferAction(StageAction["TransferReport"]):
     """The action."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from facepipe.verbs.animate.face_clip import AnimateReport
 
 
-@action("animate", "put a captured performance on a face")
+@action("animate", "put a captured performance on a face", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class Animate(AnimateOptions, StageAction["AnimateReport"]):
     """The action."""

@@ -60,7 +60,7 @@ def _load(content: object, where: str) -> Weights:
     return weights_from_json(content, where)
 
 
-@action("blend", "mix faces by region, with shapes and rig")
+@action("blend", "mix faces by region, with shapes and rig", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class BlendFaces(BlendOptions, StageAction["BlendReport"]):
     """The action."""

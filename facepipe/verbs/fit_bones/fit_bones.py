@@ -57,7 +57,7 @@ def _split_initial(word: str) -> tuple[str | None, str]:
     return (word, "") if Path(word).suffix.lower() == ".fpb" else (None, word)  # animations' names have no suffix
 
 
-@action("fit-bones", "bring bones to targets, within limits")
+@action("fit-bones", "bring bones to targets, within limits", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
     """The action."""

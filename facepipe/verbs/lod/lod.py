@@ -42,7 +42,7 @@ def read_counts(words: Sequence[str]) -> tuple[int, ...]:
         raise InputError(" ".join(words), "expected whole numbers, as in 20000,8000,2500") from None
 
 
-@action("lod", "lower levels of detail of a face")
+@action("lod", "lower levels of detail of a face", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class Lod(StageAction["LodReport"]):
     """The action."""

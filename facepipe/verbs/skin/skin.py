@@ -56,7 +56,7 @@ _WAYS = {
 }
 
 
-@action("skin", "give a face a skeleton and skin weights")
+@action("skin", "give a face a skeleton and skin weights", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class Skin(SkinOptions, StageAction["SkinReport"]):
     """The action."""

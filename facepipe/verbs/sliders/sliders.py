@@ -50,7 +50,7 @@ else:
     LimitRules = Any
 
 
-@action("sliders", "list, author or set sliders")
+@action("sliders", "list, author or set sliders", remote=True)
 @dataclass(frozen=True, kw_only=True)
 class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
     """The action."""

@@ -1,0 +1,226 @@
+"""Routes of faces: upload, list, versions and their files, deletion."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from pathlib import PurePosixPath
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Header, Path, Query, Request, Response
+from fastapi.responses import StreamingResponse
+from starlette.concurrency import iterate_in_threadpool
+
+from facepipe.core.errors import InputError
+from facepipe.importers import kind_of
+from facepipe.server import models, multipart, remote
+from facepipe.server.jobs import Asked
+from facepipe.server.library import STAGE, Version, new_id
+from facepipe.server.program import MADE
+from facepipe.server.refusals import MissingError
+from facepipe.server.runner import UPLOAD
+from facepipe.server.services import BEARER, ERRORS, Server, Services, Tenant
+from facepipe.server.uploads import FACE, FILE, PHOTO
+from facepipe.stage.files import SUFFIXES
+
+router = APIRouter(dependencies=BEARER, responses=ERRORS)
+FaceId = Annotated[models.Id, Path(description="id of a face")]
+VersionNumber = Annotated[models.Number, Path(description="number of a version")]
+_ORDER = (*SUFFIXES, ".glb", ".gltf", ".vrm", ".fbx", ".obj", ".fpb")  # of several files the first kind is the face
+_TYPES = {
+    ".glb": "model/gltf-binary",
+    ".json": "application/json",
+    ".png": "image/png",
+    ".usdc": "model/vnd.usd",
+    ".usdz": "model/vnd.usdz+zip",
+}
+_BINARY = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+_PIECE = 1 << 18  # bytes
+_SUFFIX = r"^\.[A-Za-z0-9]{1,10}$"
+
+
+@router.post(
+    "/faces",
+    status_code=202,
+    summary="Take a face in: one or more files of one",
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {
+                "multipart/form-data": {
+                    "schema": {
+                        "type": "object",
+                        "properties": {
+                            "files": {"type": "array", "items": {"type": "string", "format": "binary"}, "minItems": 1},
+                            "name": {"type": "string", "maxLength": 200},
+                        },
+                        "required": ["files"],
+                    }
+                }
+            },
+        }
+    },
+)
+async def add_face(request: Request, tenant: Tenant, server: Server) -> models.AcceptedJob:
+    """The files are checked by the job, in a process of its own."""
+    place = await asyncio.to_thread(server.uploads.place)
+    try:
+        files, fields = await multipart.received(request, place)
+        main = _main(files)
+        name = fields.get("name", "").strip() or PurePosixPath(main).stem
+        if not name.isprintable() or len(name) > 200:
+            raise InputError("name", "expected up to 200 printable characters")
+
+        def accept() -> dict[str, Any]:
+            upload = server.uploads.add(tenant, place, FACE, main)
+            asked = Asked(
+                action=UPLOAD, fields={"upload": upload}, face=new_id(), base=None, name=name, uploads=[upload]
+            )
+            return server.jobs.add(tenant, asked)
+
+        job = await asyncio.to_thread(accept)
+    except BaseException:
+        await asyncio.to_thread(shutil.rmtree, place, True)
+        raise
+    server.runner.wake()
+    return models.AcceptedJob(job=models.Job(**job))
+
+
+def _main(files: list[str]) -> str:
+    """The file that is the face.
+
+    :raises InputError: none, or several
+    """
+    for suffix in _ORDER:
+        found = [one for one in files if one.lower().endswith(suffix)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise InputError("files", f"{len(found)} of {suffix}, expected one face")
+    if files:
+        kind_of(files[0])  # says what is read
+    raise InputError("files", "none of a face")
+
+
+async def _taken(request: Request, tenant: str, server: Services, kind: str, name: str, consent: str = "") -> str:
+    place = await asyncio.to_thread(server.uploads.place)
+    try:
+        await multipart.body(request, place / name)
+        return await asyncio.to_thread(server.uploads.add, tenant, place, kind, name, consent)
+    except BaseException:
+        await asyncio.to_thread(shutil.rmtree, place, True)
+        raise
+
+
+_BODY = {"requestBody": {"required": True, **_BINARY}}
+
+
+@router.post("/photos", summary="Send a photo, for a job that uses it", status_code=201, openapi_extra=_BODY)
+async def add_photo(
+    request: Request,
+    tenant: Tenant,
+    server: Server,
+    consent: Annotated[str, Header(alias="X-Facepipe-Consent", pattern=r"^[\w.-]{1,80}$")],
+) -> models.Uploaded:
+    """It is deleted after that job, or after an hour; the version of the text that was agreed to is kept, and when."""
+    return models.Uploaded(artefact=await _taken(request, tenant, server, PHOTO, "photo.jpg", consent))
+
+
+@router.post(
+    "/files", summary="Send a file that fields of jobs name: a clip, a scan", status_code=201, openapi_extra=_BODY
+)
+async def add_file(
+    request: Request, tenant: Tenant, server: Server, suffix: Annotated[str, Query(pattern=_SUFFIX)]
+) -> models.Uploaded:
+    """It is deleted after an hour."""
+    return models.Uploaded(artefact=await _taken(request, tenant, server, FILE, f"file{suffix.lower()}"))
+
+
+@router.get("/faces", summary="List faces, the newest first")
+def list_faces(
+    tenant: Tenant,
+    server: Server,
+    search: Annotated[str, Query(max_length=200, pattern=r"^[^\x00]*$", description="part of their names")] = "",
+    after: Annotated[models.Id | None, Query(description="`next` of the page before")] = None,
+) -> models.Faces:
+    faces, last = server.library.faces(tenant, search, after or "")
+    return models.Faces(faces=[models.Face(**one) for one in faces], next=last)
+
+
+@router.get("/faces/{face}", summary="A face")
+def get_face(face: FaceId, tenant: Tenant, server: Server) -> models.Face:
+    return models.Face(**server.library.face(tenant, face))
+
+
+@router.patch("/faces/{face}", summary="Name a face")
+def rename_face(face: FaceId, new: models.NewName, tenant: Tenant, server: Server) -> models.Face:
+    server.library.rename(tenant, face, new.name)
+    return models.Face(**server.library.face(tenant, face))
+
+
+@router.delete("/faces/{face}", summary="Delete a face with all that was made of it", status_code=204)
+def delete_face(
+    face: FaceId,
+    tenant: Tenant,
+    server: Server,
+    dependents: Annotated[Literal["keep"] | None, Query(description="faces that were made of it stay")] = None,
+) -> None:
+    """Without `dependents=keep` it is refused where recipes of others name it; these are listed."""
+    for job in server.library.delete(tenant, face, keep=dependents == "keep"):
+        server.runner.cancel(job)
+
+
+@router.post("/faces/{face}/versions", summary="Save an edit of a version", status_code=202)
+def add_version(face: FaceId, new: models.NewVersion, tenant: Tenant, server: Server) -> models.AcceptedJob:
+    """Where `from` is no longer the newest, both are kept, and the new one's `conflict_of` says which it passed by."""
+    if new.base > server.library.newest(tenant, face):
+        raise MissingError(face, "no such version")
+    given = remote.given(new.action, new.fields, lambda one: server.library.newest(tenant, one))
+    asked = Asked(action=new.action, fields=given.fields, face=face, base=new.base, uploads=given.uploads)
+    job = server.jobs.add(tenant, asked)
+    server.runner.wake()
+    return models.AcceptedJob(job=models.Job(**job))
+
+
+What = Literal[
+    "thumbnail.png", "face.glb", "face.fpb", "face.usdc", "face.usdz", "face.onnx", "face.onnx.json",
+    "sliders.onnx", "sliders.onnx.json", "regions.bin", "details.json", "recipe.json",
+]  # fmt: skip
+
+
+@router.get(
+    "/faces/{face}/versions/{number}/{what}",
+    summary="A file of a version",
+    response_class=StreamingResponse,
+    responses={200: {"description": "the file", **_BINARY}, 304: {"description": "it is what the caller has"}},
+)
+async def get_file(
+    face: FaceId,
+    number: VersionNumber,
+    what: What,
+    tenant: Tenant,
+    server: Server,
+    known: Annotated[str | None, Header(alias="If-None-Match")] = None,
+) -> Response:
+    """Made when it is first asked for, and kept then."""
+    content = await server.runner.made(tenant, Version(face, number), what)
+    if content is None:
+        raise MissingError(what, "this face has none")
+    headers = {"ETag": f'"{content.removeprefix("sha256:")}"'}
+    if known is not None and headers["ETag"] in known:
+        return Response(status_code=304, headers=headers)
+    file = await asyncio.to_thread(server.library.open, tenant, face, content)
+    size = file.seek(0, 2)
+    file.seek(0)
+
+    def pieces() -> Any:
+        with file:
+            while piece := file.read(_PIECE):
+                yield piece
+
+    kind = _TYPES.get(PurePosixPath(what).suffix, "application/octet-stream")
+    headers |= {"Content-Length": str(size)}
+    return StreamingResponse(iterate_in_threadpool(pieces()), headers=headers, media_type=kind)
+
+
+assert {*What.__args__} == {STAGE, *MADE}  # type: ignore[attr-defined]
