@@ -42,14 +42,17 @@ _WORDS = ("x.usda", "x.fpb", "x.json")  # of which one is a path where a word ca
 _TEXTS = {  # options whose words are texts, of which some are paths or URLs -> their checks
     ("*", "--replace"): "check_model",
     ("batch", "words"): _REGULAR,
+    ("serve", "words"): _WRITTEN,
+    ("serve", "--artefacts"): "checked",
     ("batch", "--each"): "checked",
     ("batch", "-o"): "is_writable",
 }
 _NO_PATHS = {  # options whose help speaks of files, and that hold none
     *("--name", "--names", "--scheme", "--neutral", "--prim", "--skeleton", "--bone", "--license-url", "--cluster"),
+    *("--host", "--origin", "--database"),
 }
 _OPENED = {"checkpoint": _WRITTEN, "state": f"{_TYPED} {_WRITTEN}", "folder": _WRITTEN}
-_OPENED |= dict.fromkeys(("local", "cache"), _TYPED)  # of batch: folders of the caller's
+_OPENED |= dict.fromkeys(("local", "cache", "tls_cert", "tls_key"), _TYPED)  # of batch and serve: the caller's
 _OPENED |= {"output": _WRITTEN, "out": _WRITTEN, "edit": f"{_TYPED} {_WRITTEN}"}
 _OPENED |= dict.fromkeys(("face", "other", "onnx", "basis", "files", "source", "stages"), _TYPED)  # of commands
 _OPENED |= dict.fromkeys(("neural", "identity", "meta", "weights", "limits", "wheels"), _TYPED) | {"rename": _REGULAR}

@@ -20,6 +20,8 @@ from facepipe.declare import fields_of
 NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace"}
 NEVER |= {"state", "each", "cluster", "cache", "local"}  # of batch
 NEVER |= {"checkpoint", "wheels"}  # a file that training writes, and code that an add-on takes in
+NEVER |= {"tls-cert", "tls-key"}
+_OWN = "serve"  # a command that no project chooses an option of: who is served, and what is kept, is the caller's say
 
 
 Modules = Callable[[str], Any]  # a command -> what configures it, None for no command
@@ -39,6 +41,8 @@ def with_project(project: Project, words: Sequence[str], modules: Modules, folde
         if find_action(command) is None and (command in groups() or modules(command) is None):
             near = did_you_mean(command, summaries())
             raise InputError(f"{project.file} -> defaults", f"'{command[:40]}' is no command{near}")
+        if command == _OWN:
+            raise InputError(f"{project.file} -> defaults", f"has some of '{_OWN}', which no project may choose")
     count = 2 if words[0] in groups() else 1
     verb, rest = list(words[:count]), list(words[count:])
     result = ["-o", out] if out else []

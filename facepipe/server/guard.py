@@ -98,9 +98,9 @@ class Metrics:
         :param more: gauge -> label, like ``state="queued"``, -> its value
         """
         lines = ["# TYPE facepipe_requests_total counter"]
-        for (method, route, status), count in sorted(self._requests.items()):
+        for (method, route, status), number in sorted(self._requests.items()):
             said = f'method="{method}",route="{route}",status="{status}"'
-            lines.append(f"facepipe_requests_total{{{said}}} {count}")
+            lines.append(f"facepipe_requests_total{{{said}}} {number}")
         lines.append("# TYPE facepipe_request_seconds histogram")
         for route, counts in sorted(self._seconds.items()):
             for bound, count in zip((*_BUCKETS, "+Inf"), counts, strict=False):

@@ -155,6 +155,7 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
             if os.name != "nt":  # there it would share a port that is in use
                 listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind(place)
+            listening.listen(_MOST_CONNECTIONS)  # who comes early waits
         except OSError as error:
             raise InputError(where, f"can't be taken ({error.strerror}), expected a free port (0 takes any)") from None
         yield listening

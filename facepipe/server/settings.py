@@ -31,5 +31,5 @@ class Settings(Ranged):
     seconds: float = option(1800.0, "limit on the time of a job", 1.0, 1e6, "s")
     memory_mb: float = option(8000.0, "limit on the memory of a job's process", 200.0, 1e7, "MB")
     upload_mb: float = option(500.0, "limit on what is sent at once", 1.0, 1e5, "MB")
-    quota_gb: float = option(20.0, "limit on what a tenant keeps", 0.001, 1e6, "GB")
+    quota_gb: float = option(20.0, "limit on what a tenant keeps", 1e-6, 1e6, "GB")
     rate: float = option(50.0, "requests a second that a client may ask for, ten seconds' worth at once", 1.0, 1e6)
