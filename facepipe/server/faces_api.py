@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
+from pathlib import Path as FilePath
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -34,6 +35,7 @@ _TYPES = {
     ".usdc": "model/vnd.usd",
     ".usdz": "model/vnd.usdz+zip",
 }
+_PHOTOS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"RIFF": ".webp", b"ftyp": ".heic"}
 _BINARY = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 _PIECE = 1 << 18  # bytes
 _SUFFIX = r"^\.[A-Za-z0-9]{1,10}$"
@@ -106,10 +108,25 @@ async def _taken(request: Request, tenant: str, server: Services, kind: str, nam
     place = await asyncio.to_thread(server.uploads.place)
     try:
         await multipart.body(request, place / name)
+        if kind == PHOTO:
+            name = (place / name).rename(place / f"photo{_photo_suffix(place / name)}").name
         return await asyncio.to_thread(server.uploads.add, tenant, place, kind, name, consent)
     except BaseException:
         await asyncio.to_thread(shutil.rmtree, place, True)
         raise
+
+
+def _photo_suffix(file: FilePath) -> str:
+    """By what is in it, whatever it was called.
+
+    :raises InputError: no photo
+    """
+    with file.open("rb") as opened:
+        head = opened.read(16)
+    for start, suffix in _PHOTOS.items():
+        if head.startswith(start) or head[4:].startswith(start):
+            return suffix
+    raise InputError("photo", "is none that is read here, expected JPEG, PNG, WebP or HEIC")
 
 
 _BODY = {"requestBody": {"required": True, **_BINARY}}
@@ -123,7 +140,7 @@ async def add_photo(
     consent: Annotated[str, Header(alias="X-Facepipe-Consent", pattern=r"^[\w.-]{1,80}$")],
 ) -> models.Uploaded:
     """It is deleted after that job, or after an hour; the version of the text that was agreed to is kept, and when."""
-    return models.Uploaded(artefact=await _taken(request, tenant, server, PHOTO, "photo.jpg", consent))
+    return models.Uploaded(artefact=await _taken(request, tenant, server, PHOTO, "photo", consent))
 
 
 @router.post(
