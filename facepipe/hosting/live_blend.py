@@ -15,10 +15,13 @@ from facepipe.parts import FaceParts
 from facepipe.performing import job_of, read_kept
 from facepipe.stage import Face, open_face
 from facepipe.verbs.blend import BlendFaces, BlendSession, Weights
+from facepipe.verbs.blend.quick_neutral import QuickNeutral
 from facepipe.verbs.blend.result import result_parts
+from facepipe.verbs.blend.topologies import gathered, read_source
 from facepipe.verbs.blend.weights import weights_from_json
 
 _DEFAULT = "default"
+_MM = 1e3  # of a metre
 
 
 class LiveBlend:
@@ -41,13 +44,27 @@ class LiveBlend:
 
     @cached_property
     def session(self) -> BlendSession:
-        """The warm session; made when it is first needed, which takes seconds for a large face."""
-        return BlendSession([open_face(path) for path in self.sources], self._blend)
+        """The warm session; made when it is first needed, which takes seconds, and half a minute for each source of
+        another topology.
+
+        :raises FacepipeError: a source that can't be used
+        """
+        found = gathered(self._first, self.sources, job_of(self._blend, self.sources[0]))
+        return BlendSession(found.faces, self._blend)
+
+    @cached_property
+    def quick(self) -> QuickNeutral:
+        """What answers while weights are dragged."""
+        return QuickNeutral(self.session)
 
     @cached_property
     def base(self) -> FaceParts:
         """The first source."""
-        return open_face(self.sources[0]).parts()
+        return self._first.parts()
+
+    @cached_property
+    def _first(self) -> Face:
+        return read_source(self.sources[0])  # what it lacks is authored on it in memory, and never saved
 
     @property
     def rows(self) -> dict[str, list[float]]:
@@ -72,6 +89,22 @@ class LiveBlend:
         with self._lock:
             found = self.session.neutral(weights).points
         return bytes(transformed(found, axes @ self.base.skeleton.transform).astype("<f4").tobytes())
+
+    def offsets(self, weights: Weights, *, settled: bool = True) -> FloatArray:
+        """(n, 3) millimetres in glTF space from the first source's points, meshes one after another.
+
+        :param settled: with what keeps lids off eyeballs and lips apart; without it a call takes milliseconds, and one
+            from another thread needn't wait
+        :raises InputError: weights that can't be blended
+        """
+        if settled:
+            with self._lock:
+                points = self.session.neutral(weights).points
+        else:
+            points = self.quick.points(weights)
+        turn = (self.base.gltf_axes @ self.base.skeleton.transform)[:3, :3]
+        moved: FloatArray = (points - self.session.sources.points[0]) @ turn.T * _MM
+        return moved
 
     def face(self, rows: Mapping[str, object]) -> FaceParts:
         """The whole blended face, as `facepipe blend` would author it.

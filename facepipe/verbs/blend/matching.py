@@ -16,7 +16,6 @@ from facepipe.geometry.bounded_least_squares import fit_simplex
 from facepipe.geometry.gradient_system import edge_vectors
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.stage import Face
-from facepipe.verbs.blend.graph import mean_of_ends
 from facepipe.verbs.blend.session import BlendSession
 from facepipe.verbs.blend.sources import UNALIGNED, stack
 from facepipe.verbs.blend.weights import Weights
@@ -72,14 +71,7 @@ def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None 
     graph, count = session.graph, len(session.sources.points)
     (_, wanted) = stack([session.faces[0], target]).points  # as it lies
     edges = graph.edges[~np.isin(graph.edges, session.kept.points).any(axis=1)]
-    # points that each region's whole weight on each source gives, region by region, with the anchor at 0
-    responses, bridges = [], graph.bridges
-    for mask in graph.masks:
-        along = mean_of_ends(mask[:, None], graph.edges[:, 0], graph.edges[:, 1])
-        across = mean_of_ends(mask[:, None], bridges.followers, bridges.leaders)
-        for edge, bridge in zip(session.edge_vectors, session.bridge_vectors, strict=True):
-            points = session.system.solve(along * edge, across * bridge, np.zeros(3))
-            responses.append(edge_vectors(points, edges).ravel())
+    responses = [edge_vectors(points, edges).ravel() for points in session.responses()]
     locked = locked or {}
     Weights(locked=locked).shares(graph.regions, count)  # checks them
     locks = {graph.regions.index(name): np.eye(count)[number - 1] for name, number in locked.items()}

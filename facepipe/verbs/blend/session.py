@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -357,6 +357,15 @@ class BlendSession:
             held=held,
             notes=notes,
         )
+
+    def responses(self) -> Iterator[FloatArray]:
+        """(n, 3) points that each region's whole weight on each source gives, region by region, the anchor at 0."""
+        bridges = self.graph.bridges
+        for mask in self.graph.masks:
+            along = mean_of_ends(mask[:, None], self.graph.edges[:, 0], self.graph.edges[:, 1])
+            across = mean_of_ends(mask[:, None], bridges.followers, bridges.leaders)
+            for edge, bridge in zip(self.edge_vectors, self.bridge_vectors, strict=True):
+                yield self.system.solve(along * edge, across * bridge, np.zeros(3))
 
     def solve(self, weights: Weights, done: Callable[[], object] = lambda: None) -> Solution:
         """The neutral and all shapes.
