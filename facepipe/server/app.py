@@ -17,13 +17,14 @@ from starlette.exceptions import HTTPException
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.registry import host
-from facepipe.server import faces_api, jobs_api
+from facepipe.server import edit, faces_api, jobs_api
 from facepipe.server.artefacts import artefacts_at
 from facepipe.server.guard import API, Gate, Guard, Metrics
 from facepipe.server.jobs import Jobs
 from facepipe.server.library import Library, new_id
 from facepipe.server.runner import Runner
 from facepipe.server.services import Services
+from facepipe.server.sessions import Sessions
 from facepipe.server.settings import Settings
 from facepipe.server.tables import Database, DatabaseError
 from facepipe.server.tenants import LOCAL, tenant_named
@@ -64,7 +65,8 @@ def services_in(folder: Path, settings: Settings) -> Services:
     limits: Any = {"seconds": settings.seconds, "memory_mb": settings.memory_mb}
     way: Any = {"processes": settings.processes, "cluster": settings.cluster}
     runner = Runner(library, jobs, uploads, folder / "work", **way, **limits)
-    return Services(library, jobs, uploads, runner, Metrics(), folder / "work")
+    sessions = Sessions(folder / "work" / "sessions", library.lay, settings.sessions, settings.sessions_mb)
+    return Services(library, jobs, uploads, runner, Metrics(), sessions, folder / "work")
 
 
 def create_app(services: Services, address: Address, settings: Settings) -> FastAPI:
@@ -74,6 +76,7 @@ def create_app(services: Services, address: Address, settings: Settings) -> Fast
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         services.runner.bus.begin()
         yield
+        services.sessions.close()
         await asyncio.to_thread(services.runner.close)
 
     about = "Faces that are kept, worked on and streamed; docs/serve.md has how it is run and what it keeps."
@@ -98,7 +101,7 @@ def create_app(services: Services, address: Address, settings: Settings) -> Fast
     app.add_middleware(Guard, gate=gate, database=services.library.database, metrics=services.metrics)
     app.include_router(faces_api.router, prefix=API)
     app.include_router(jobs_api.router, prefix=API)
-    # here joins the router of warm sessions
+    app.include_router(edit.router, prefix=API)
     _add_errors(app)
     _add_health(app, services)
     _add_pages(app)

@@ -36,7 +36,7 @@ _TYPES = {
     ".usdz": "model/vnd.usdz+zip",
 }
 _PHOTOS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"RIFF": ".webp", b"ftyp": ".heic"}
-_BINARY = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+BINARY: Any = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 _PIECE = 1 << 18  # bytes
 _SUFFIX = r"^\.[A-Za-z0-9]{1,10}$"
 
@@ -129,7 +129,7 @@ def _photo_suffix(file: FilePath) -> str:
     raise InputError("photo", "is none that is read here, expected JPEG, PNG, WebP or HEIC")
 
 
-_BODY = {"requestBody": {"required": True, **_BINARY}}
+_BODY = {"requestBody": {"required": True, **BINARY}}
 
 
 @router.post("/photos", summary="Send a photo, for a job that uses it", status_code=201, openapi_extra=_BODY)
@@ -185,6 +185,7 @@ def delete_face(
     """Without `dependents=keep` it is refused where recipes of others name it; these are listed."""
     for job in server.library.delete(tenant, face, keep=dependents == "keep"):
         server.runner.cancel(job)
+    server.sessions.forget(face)
 
 
 @router.post("/faces/{face}/versions", summary="Save an edit of a version", status_code=202)
@@ -209,7 +210,7 @@ What = Literal[
     "/faces/{face}/versions/{number}/{what}",
     summary="A file of a version",
     response_class=StreamingResponse,
-    responses={200: {"description": "the file", **_BINARY}, 304: {"description": "it is what the caller has"}},
+    responses={200: {"description": "the file", **BINARY}, 304: {"description": "it is what the caller has"}},
 )
 async def get_file(
     face: FaceId,

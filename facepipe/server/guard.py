@@ -139,7 +139,7 @@ class Guard:
             tenant = await self._tenant(scope)
             if limit is not None and _length(scope) > limit:
                 raise TooLargeError("body", f"expected at most {limit} bytes")
-            scope.setdefault("state", {})["tenant"] = tenant
+            scope.setdefault("state", {}).update(tenant=tenant, tenant_of=self.tenant)
             await self._app(scope, _limited(receive, limit) if limit is not None else receive, sent)
         except (RefusedError, DatabaseError) as error:
             status = getattr(error, "status", 503)

@@ -14,6 +14,7 @@ from facepipe.server.jobs import Jobs
 from facepipe.server.library import Library
 from facepipe.server.models import Error
 from facepipe.server.runner import Runner
+from facepipe.server.sessions import Sessions
 from facepipe.server.uploads import Uploads
 
 
@@ -26,6 +27,7 @@ class Services:
     uploads: Uploads
     runner: Runner
     metrics: Metrics
+    sessions: Sessions
     work: Path  # for files that are gone with the request
 
 

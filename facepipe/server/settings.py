@@ -30,6 +30,8 @@ class Settings(Ranged):
     retain: bool = option(False, "keep photos after their jobs")
     seconds: float = option(1800.0, "limit on the time of a job", 1.0, 1e6, "s")
     memory_mb: float = option(8000.0, "limit on the memory of a job's process", 200.0, 1e7, "MB")
+    sessions: int = option(16, "blends and faces at most that are kept ready for edits", 1, 1000)
+    sessions_mb: float = option(8192.0, "limit on the memory of these", 100.0, 1e7, "MB")
     upload_mb: float = option(500.0, "limit on what is sent at once", 1.0, 1e5, "MB")
     quota_gb: float = option(20.0, "limit on what a tenant keeps", 1e-6, 1e6, "GB")
     rate: float = option(50.0, "requests a second that a client may ask for, ten seconds' worth at once", 1.0, 1e6)

@@ -27,7 +27,7 @@ LOST = "lost"  # status of a task whose process ended before it answered
 Done = Callable[[Record], object]
 Told = Callable[[Mapping[str, Any]], object]  # of progress: text, and share from 0 to 1
 _PAUSE = 0.2  # seconds between two looks at its memory
-_ONE_THREAD = dict.fromkeys(
+ONE_THREAD = dict.fromkeys(
     (
         "OMP_NUM_THREADS",
         "OPENBLAS_NUM_THREADS",
@@ -125,7 +125,7 @@ class Child:
 
     def _start(self) -> subprocess.Popen[bytes]:
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        process = children.start(children.python(self._setting.get("program", PROGRAM)), _ONE_THREAD, **pipes)
+        process = children.start(children.python(self._setting.get("program", PROGRAM)), ONE_THREAD, **pipes)
         self._process, self._answers = process, queue.SimpleQueue()
         threading.Thread(target=_pump, args=(process.stdout, self._answers), daemon=True).start()
         self._send(process, self._setting)

@@ -212,7 +212,7 @@ def main(read: Callable[[list[str]], Line] | None = None) -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
     requests: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
+    threading.Thread(target=listen, args=(requests,), daemon=True).start()
     setting = json.loads(requests.get())
     contents = Contents()
     if setting["version"] != __version__:
@@ -303,11 +303,11 @@ def _serve(
         record = do(json.loads(requests.get()))
         # memory that stays between two tasks; what is free goes back to the system first
         gc.collect()
-        at_rest, verb, peak = 0.0, str(record.get("verb")), None
+        verb, peak = str(record.get("verb")), None
         if sys.platform == "linux":
             with contextlib.suppress(AttributeError):  # not glibc
                 ctypes.CDLL(None).malloc_trim(0)
-            at_rest = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        at_rest = at_rest_mb()
         least = min(at_rest, least if verb in verbs else math.inf)
         verbs.add(verb)
         with contextlib.suppress(ImportError):  # Windows
@@ -320,7 +320,15 @@ def _serve(
         answers.flush()
 
 
-def _listen(requests: queue.SimpleQueue[bytes]) -> None:
+def at_rest_mb() -> float:
+    """Memory that this process has, in MB; 0 where the system doesn't tell."""
+    if sys.platform != "linux":
+        return 0.0
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def listen(requests: queue.SimpleQueue[bytes]) -> None:
+    """Read requests, lines of JSON, and end with their pipe: who asks has ended."""
     for line in sys.stdin.buffer:
         requests.put(line)
     os._exit(1)
