@@ -1,7 +1,7 @@
 // Bundles the sources into dist/: facepipe.js, the runtime for other people's pages (three and onnxruntime-web stay
-// imports), person.js, of it what needs neither, and the viewer with all that it needs, licences of the packages among it.
+// imports), person.js, of it what needs neither, and viewer and studio with all that they need, licences of the packages among it.
 import { cpSync, mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
-import { join } from "node:path";
+import { basename, join } from "node:path";
 import { execFileSync } from "node:child_process";
 import { build } from "esbuild";
 
@@ -16,13 +16,15 @@ const entries = { facepipe: "src/runtime/index.ts", person: "src/runtime/persons
 await build({ ...shared, entryPoints: entries, outdir: out, packages: "external" });
 await build({
   ...shared,
-  entryPoints: { viewer: "src/viewer/main.ts" },
+  entryPoints: { viewer: "src/viewer/main.ts", studio: "src/studio/main.ts" },
   outdir: out,
   splitting: true,
   conditions: ["onnxruntime-web-use-extern-wasm"],
   chunkNames: "chunk-[hash]",
 });
-for (const name of ["index.html", "style.css"]) cpSync(join("src/viewer", name), join(out, name));
+for (const name of ["viewer/index.html", "viewer/style.css", "studio/studio.html", "studio/studio.css"]) {
+  cpSync(join("src", name), join(out, basename(name)));
+}
 // the plain WebAssembly build alone: the viewer does not ask for WebGPU, whose build is twice as large
 for (const suffix of ["mjs", "wasm"]) {
   const name = `ort-wasm-simd-threaded.${suffix}`;

@@ -51,6 +51,18 @@ export function setNeutral(mesh: FaceMesh, place: (primitive: Mesh, vertex: numb
   }
 }
 
+/**
+ * Put a mesh's vertices where the file has them, and then further.
+ * @param offsets 3 numbers a point, metres; those of the mesh begin at point `first`
+ */
+export function offsetNeutral(mesh: FaceMesh, offsets: Float32Array, first: number): void {
+  setNeutral(mesh, ({ geometry }, vertex, point, out) => {
+    const at = 3 * (first + point);
+    out.fromBufferAttribute(kept.get(geometry)!.position.file as BufferAttribute, vertex);
+    out.set(out.x + offsets[at], out.y + offsets[at + 1], out.z + offsets[at + 2]);
+  });
+}
+
 /** Put a mesh's vertices back where they are in the file. */
 export function resetNeutral(mesh: FaceMesh): void {
   for (const { geometry } of mesh.primitives) {

@@ -52,6 +52,13 @@ export class Picture {
     this.invalidate();
   }
 
+  /** Show nothing. */
+  clear(): void {
+    this.faces?.forEach((one) => one?.face.root.removeFromParent());
+    this.faces = null;
+    this.invalidate();
+  }
+
   /** Look at the whole face from the front. */
   frame(): void {
     if (!this.faces) return;
@@ -87,13 +94,12 @@ export class Picture {
 
   /** Draw now. */
   draw(): void {
-    if (!this.faces) return;
     this.before();
     const { width, height } = this.renderer.domElement;
     const ratio = this.renderer.getPixelRatio();
     const [w, h] = [width / ratio, height / ratio];
     const edge = Math.round(w * this.split);
-    if (this.compare === "split" && this.faces[1]) {
+    if (this.compare === "split" && this.faces?.[1]) {
       this.part(0, 0, edge, h);
       this.part(1, edge, w - edge, h);
     } else {
@@ -110,7 +116,7 @@ export class Picture {
   }
 
   private part(number: number, left: number, width: number, height: number): void {
-    this.faces!.forEach((one, i) => one && (one.face.root.visible = i === (this.faces![1] ? number : 0)));
+    this.faces?.forEach((one, i) => one && (one.face.root.visible = i === (this.faces![1] ? number : 0)));
     this.renderer.setScissor(left, 0, width, height);
     this.renderer.render(this.scene, this.camera);
   }

@@ -1,6 +1,6 @@
 /** A face of the page: the runtime's face, and what the server gives beside it. */
 import { Face, loadFace } from "../runtime";
-import { setNeutral } from "../runtime/neutral";
+import { offsetNeutral, setNeutral } from "../runtime/neutral";
 import { Look } from "./look";
 
 /** A face in viewer.json. */
@@ -9,6 +9,8 @@ export interface FaceEntry {
   glb: string;
   onnx: string | null;
   details: string | null;
+  /** where the masks of regions are, if not where the details say */
+  masks?: string;
 }
 
 export interface Details {
@@ -32,7 +34,7 @@ export class ViewedFace {
   static async load(entry: FaceEntry): Promise<ViewedFace> {
     const details = entry.details ? ((await (await fetch(entry.details)).json()) as Details) : null;
     const regions = details?.regions;
-    const masks = regions ? new Uint8Array(await (await fetch(regions.masks)).arrayBuffer()) : null;
+    const masks = regions ? new Uint8Array(await (await fetch(entry.masks ?? regions.masks)).arrayBuffer()) : null;
     const face = await loadFace(entry.glb, entry.onnx, { joints: details?.joints ?? undefined });
     await face.reset();
     const look = new Look(face, details, masks);
@@ -50,6 +52,36 @@ export class ViewedFace {
       end += count;
       if (mesh) setNeutral(mesh, (_primitive, _vertex, point, out) => void out.fromArray(points, 3 * (first + point)));
     }
+  }
+
+  /** @param offsets from the points of the file, as `setPoints` has points */
+  setOffsets(offsets: Float32Array): void {
+    let end = 0;
+    for (const { name, points: count } of this.details?.meshes ?? []) {
+      const mesh = this.face.meshes.find((one) => one.name === name);
+      const first = end;
+      end += count;
+      const moves = offsets.subarray(3 * first, 3 * end).some((one) => one !== 0);
+      if (!mesh || (!moves && !this.offset.has(name))) continue;
+      if (moves) this.offset.add(name);
+      else this.offset.delete(name);
+      offsetNeutral(mesh, offsets, first);
+    }
+  }
+
+  private readonly offset = new Set<string>(); // meshes that are not as in their file
+
+  /** The region that points of a mesh are in most; null for none. */
+  regionOf(mesh: string, points: number[]): string | null {
+    const { masks, regionNames: names } = this;
+    const all = this.details?.meshes ?? [];
+    const place = all.findIndex((one) => one.name === mesh);
+    if (!masks || place < 0) return null;
+    const first = all.slice(0, place).reduce((sum, one) => sum + one.points, 0);
+    const count = masks.length / names.length;
+    const shares = names.map((_, region) => points.reduce((sum, point) => sum + masks[region * count + first + point], 0));
+    const most = Math.max(...shares);
+    return most > 0 ? names[shares.indexOf(most)] : null;
   }
 
   get regionNames(): string[] {
