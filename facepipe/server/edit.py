@@ -101,17 +101,17 @@ async def edit(socket: WebSocket) -> None:
         return
     await socket.accept(PROTOCOL)
     try:
-        if server.sockets >= _MOST_SOCKETS:
+        if server.sessions.sockets >= _MOST_SOCKETS:
             await _say(socket, "server: too many are being edited, expected another try later")
             await socket.close(_TOO_MANY)
             return
-        server.sockets += 1
+        server.sessions.sockets += 1
         try:
             opening = await _opening(socket)
             if opening is not None:
                 await _Editing(socket, server, opening).run()
         finally:
-            server.sockets -= 1
+            server.sessions.sockets -= 1
     except (WebSocketDisconnect, RuntimeError):  # it has gone, perhaps while something was being sent
         pass
 

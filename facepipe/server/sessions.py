@@ -181,6 +181,7 @@ class Sessions:
     def __init__(self, folder: Path, lay: Lay, most: int = 16, most_mb: float = 8192.0) -> None:
         self._folder, self._lay, self._most, self._most_mb = folder, lay, most, most_mb
         self._open: dict[Opening, _Session] = {}
+        self.sockets = 0  # over which they are asked
 
     async def opened(self, opening: Opening) -> dict[str, Any]:
         """What a session is of: regions or sliders, and meshes with their points.

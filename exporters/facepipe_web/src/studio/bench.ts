@@ -3,8 +3,8 @@ import { type Mesh, Raycaster, Vector2 } from "three";
 import { FaceError } from "../runtime";
 import { pointNumbers } from "../runtime/glb";
 import { Divider } from "../viewer/divider";
-import { h } from "../viewer/dom";
-import { Legend } from "../viewer/legend";
+import { h, throttled } from "../viewer/dom";
+import { Legend, roundEnd } from "../viewer/legend";
 import type { Coloring } from "../viewer/look";
 import { say } from "../viewer/messages";
 import { Picture } from "../viewer/scene";
@@ -25,6 +25,7 @@ export class Bench {
   private readonly divider: Divider;
   private readonly hint = h("p", { class: "hint", hidden: true });
   private loading = 0;
+  private readonly measured = throttled(200, () => this.measure());
 
   /** @throws Error a browser without WebGL */
   constructor(view: HTMLElement) {
@@ -73,6 +74,7 @@ export class Bench {
   /** The face has moved. */
   changed(): void {
     this.picture.invalidate();
+    if (this.coloring === "distance") this.measured();
   }
 
   /** One line over the picture; null: none. */
@@ -95,8 +97,18 @@ export class Bench {
     this.coloring = coloring;
     this.face?.look.set(coloring, false);
     this.other?.look.set(coloring, false);
+    this.legend.hide();
     if (coloring === "regions" && this.face) this.legend.regions(this.face.regionNames);
-    else this.legend.hide();
+    if (coloring === "distance") this.measure();
+    this.picture.invalidate();
+  }
+
+  /** How far points are from where the file has them. */
+  private measure(): void {
+    if (!this.face || this.coloring !== "distance") return;
+    const largest = this.face.look.largest();
+    for (const one of [this.face, this.other]) if (one) one.look.range.value = roundEnd(largest.mm);
+    this.legend.distance(roundEnd(largest.mm), largest);
     this.picture.invalidate();
   }
 

@@ -183,8 +183,7 @@ export class Blend implements Part {
     const title = region === REST ? "All others" : region;
     const number = this.regions.indexOf(region);
     const swatch = h("span", { class: "swatch", style: number < 0 ? "display: none" : `background: ${css(regionColor(number))}` });
-    const own = region in weights.regions || region in weights.locked;
-    const mark = h("span", { class: "count" }, region === REST ? "" : region in weights.locked ? "locked" : own ? "own" : "");
+    const mark = h("span", { class: "count" }, region in weights.locked ? "locked" : region in weights.regions ? "own" : "");
     const fold = h("details", { open: region === this.open, "data-region": region }, h("summary", {}, swatch, title, mark));
     fold.addEventListener("toggle", () => fold.open && (this.open = region));
     const locked = weights.locked[region];
@@ -209,7 +208,11 @@ export class Blend implements Part {
       if (region === REST) this.follow();
       this.moved();
     };
-    const settle = () => this.keep();
+    const settle = () => {
+      this.keep();
+      const mark = this.folds.querySelector(`details[data-region="${CSS.escape(region)}"] .count`);
+      if (mark && region in weights.regions) mark.textContent = "own";
+    };
     if (sources.length === 2) {
       const name = `A → B`;
       const change = (value: number) => set([1 - value, value]);

@@ -5,19 +5,23 @@ export class History<State> {
   private readonly before: string[] = [];
   private readonly after: string[] = [];
 
+  private now: string; // as text: who changes the state that it was given changes none of these
+
   constructor(
-    private now: State,
+    state: State,
     private readonly changed: () => void,
-  ) {}
+  ) {
+    this.now = JSON.stringify(state);
+  }
 
   /** A state that was settled on; the same again is none. */
   keep(state: State): void {
-    const [old, text] = [JSON.stringify(this.now), JSON.stringify(state)];
-    if (old === text) return;
-    this.before.push(old);
+    const text = JSON.stringify(state);
+    if (this.now === text) return;
+    this.before.push(this.now);
     this.before.splice(0, this.before.length - MOST);
     this.after.length = 0;
-    this.now = JSON.parse(text) as State;
+    this.now = text;
     this.changed();
   }
 
@@ -40,9 +44,9 @@ export class History<State> {
   private step(from: string[], to: string[]): State | null {
     const text = from.pop();
     if (text === undefined) return null;
-    to.push(JSON.stringify(this.now));
-    this.now = JSON.parse(text) as State;
+    to.push(this.now);
+    this.now = text;
     this.changed();
-    return structuredClone(this.now);
+    return JSON.parse(text) as State;
   }
 }

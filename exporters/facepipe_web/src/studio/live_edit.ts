@@ -20,7 +20,7 @@ export interface Listener {
   failed: (why: string) => void;
 }
 
-const AGAIN = 1500; // ms after which a lost connection is made anew
+const [AGAIN, LATEST] = [1000, 30_000]; // ms after which a lost connection is made anew, twice as long each time
 const MM = 1e-3;
 
 export class LiveEdit {
@@ -30,6 +30,7 @@ export class LiveEdit {
   private waiting: Weights | null = null;
   private last: Weights | null = null;
   private closed = false;
+  private pause = AGAIN;
 
   constructor(
     private readonly sources: Source[],
@@ -61,8 +62,11 @@ export class LiveEdit {
       if (data instanceof ArrayBuffer) this.take(data);
       else {
         const told = JSON.parse(data) as { opened?: Opened; error?: string };
-        if (told.opened) this.listener.opened(told.opened);
-        else refused = !this.ready && !this.number;
+        if (told.opened) {
+          this.pause = AGAIN;
+          this.listener.opened(told.opened);
+        }
+        if (told.error) refused = !this.ready && !this.number;
         if (told.error) this.listener.failed(told.error);
         this.ready = true;
         this.next();
@@ -72,7 +76,8 @@ export class LiveEdit {
       this.ready = false;
       if (this.closed || refused) return;
       this.waiting ??= this.last;
-      setTimeout(() => !this.closed && this.connect(), AGAIN);
+      setTimeout(() => !this.closed && this.connect(), this.pause);
+      this.pause = Math.min(2 * this.pause, LATEST);
     });
   }
 

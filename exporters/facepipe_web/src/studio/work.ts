@@ -84,7 +84,10 @@ export async function work(title: string, asked: Promise<Job>): Promise<Job | nu
 /** Take files of one face in. */
 export async function upload(files: File[]): Promise<Job | null> {
   const form = new FormData();
-  for (const file of files) form.append("files", file, file.name);
+  const paths = files.map((file) => file.webkitRelativePath || file.name);
+  const top = `${paths[0].split("/")[0]}/`;
+  const inside = paths.every((path) => path.startsWith(top)); // of a folder its inside counts
+  files.forEach((file, i) => form.append("files", file, inside ? paths[i].slice(top.length) : paths[i]));
   const asked = ask("faces", { method: "POST", body: form }).then(async (answer) => ((await answer.json()) as { job: Job }).job);
   return work(`Reading ${files[0].name}`, asked);
 }
@@ -116,9 +119,24 @@ export function onDrop(element: HTMLElement, taken: (files: File[]) => void): vo
     event.preventDefault();
     event.stopPropagation();
     element.classList.remove("dropping");
-    const files = [...(event.dataTransfer?.files ?? [])];
-    if (files.length) taken(files);
+    const entries = [...(event.dataTransfer?.items ?? [])].map((item) => item.webkitGetAsEntry());
+    void Promise.all(entries.map((entry) => (entry ? filesIn(entry) : []))).then((found) => found.flat().length && taken(found.flat()));
   });
+}
+
+/** A file, or those of a folder with its textures below it: each is called by its path from what was dropped. */
+async function filesIn(entry: FileSystemEntry): Promise<File[]> {
+  if (entry.isFile) {
+    const file = await new Promise<File>((resolve, reject) => (entry as FileSystemFileEntry).file(resolve, reject));
+    return [Object.defineProperty(file, "webkitRelativePath", { value: entry.fullPath.slice(1) })]; // as inputs of folders say it
+  }
+  const reader = (entry as FileSystemDirectoryEntry).createReader();
+  const found: File[] = [];
+  for (;;) {
+    const some = await new Promise<FileSystemEntry[]>((resolve, reject) => reader.readEntries(resolve, reject));
+    if (!some.length) return found;
+    for (const one of some) found.push(...(await filesIn(one)));
+  }
 }
 
 /** A button that opens files. */
