@@ -18,7 +18,7 @@ from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.registry import host
 from facepipe.server import edit, faces_api, jobs_api
-from facepipe.server.artefacts import artefacts_at
+from facepipe.server.artefacts import Artefacts
 from facepipe.server.guard import API, Gate, Guard, Metrics
 from facepipe.server.jobs import Jobs
 from facepipe.server.library import Library, new_id
@@ -59,7 +59,9 @@ def services_in(folder: Path, settings: Settings) -> Services:
         name.write_text(new_id(), encoding="utf-8")
     server = name.read_text(encoding="utf-8")
     database = database_of(settings, folder)
-    library = Library(database, artefacts_at(settings.artefacts, folder), int(settings.quota_gb * 1e9))
+    library = Library(
+        database, Artefacts(settings.artefacts or str(folder / "artefacts")), int(settings.quota_gb * 1e9)
+    )
     jobs = Jobs(library, server)
     uploads = Uploads(database, folder / "uploads", server, retain=settings.retain)
     limits: Any = {"seconds": settings.seconds, "memory_mb": settings.memory_mb}
@@ -146,8 +148,7 @@ def _add_health(app: FastAPI, services: Services) -> None:
 
     @app.get("/metrics", summary="Counts, as Prometheus reads them", response_class=PlainTextResponse)
     def metrics() -> str:
-        states = {f'state="{state}"': float(count) for state, count in services.jobs.counts().items()}
-        return services.metrics.text({"facepipe_jobs": states})
+        return services.metrics.text(services.jobs.counts())
 
 
 def _add_pages(app: FastAPI) -> None:

@@ -12,16 +12,16 @@ from fastapi import APIRouter, Header, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import iterate_in_threadpool
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, system_errors
 from facepipe.importers import kind_of
-from facepipe.server import models, multipart, remote
+from facepipe.server import models, remote
 from facepipe.server.jobs import Asked
 from facepipe.server.library import STAGE, Version, new_id
 from facepipe.server.program import MADE
 from facepipe.server.refusals import MissingError
 from facepipe.server.runner import UPLOAD
 from facepipe.server.services import BEARER, ERRORS, Server, Services, Tenant
-from facepipe.server.uploads import FACE, FILE, PHOTO
+from facepipe.server.uploads import FACE, FILE, PHOTO, checked_name
 from facepipe.stage.files import SUFFIXES
 
 router = APIRouter(dependencies=BEARER, responses=ERRORS)
@@ -38,6 +38,7 @@ _TYPES = {
 _PHOTOS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"RIFF": ".webp", b"ftyp": ".heic"}
 BINARY: Any = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 _PIECE = 1 << 18  # bytes
+_MOST_FILES, _MOST_FIELD = 200, 1000  # of a form, and bytes of a field that is no file
 _SUFFIX = r"^\.[A-Za-z0-9]{1,10}$"
 
 
@@ -67,9 +68,9 @@ async def add_face(request: Request, tenant: Tenant, server: Server) -> models.A
     """The files are checked by the job, in a process of its own."""
     place = await asyncio.to_thread(server.uploads.place)
     try:
-        files, fields = await multipart.received(request, place)
+        files, name = await _received(request, place)
         main = _main(files)
-        name = fields.get("name", "").strip() or PurePosixPath(main).stem
+        name = name or PurePosixPath(main).stem
         if not name.isprintable() or len(name) > 200:
             raise InputError("name", "expected up to 200 printable characters")
 
@@ -86,6 +87,28 @@ async def add_face(request: Request, tenant: Tenant, server: Server) -> models.A
         raise
     server.runner.wake()
     return models.AcceptedJob(job=models.Job(**job))
+
+
+async def _received(request: Request, place: FilePath) -> tuple[list[str], str]:
+    """Write the files of a form to a folder; what they are called, and the face.
+
+    :raises InputError: files of one name, or names that files here can't have
+    """
+    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+        raise InputError("Content-Type", "expected multipart/form-data")
+    files: list[str] = []
+    async with request.form(max_files=_MOST_FILES, max_fields=2, max_part_size=_MOST_FIELD) as form:
+        for _, one in form.multi_items():
+            if isinstance(one, str):
+                continue
+            name = checked_name(one.filename or "")
+            with system_errors("files", "expected files of different names"):
+                (place / name).parent.mkdir(parents=True, exist_ok=True)
+                with (place / name).open("xb") as out:
+                    await asyncio.to_thread(shutil.copyfileobj, one.file, out)
+            files.append(name)
+        named = form.get("name")
+    return files, named.strip() if isinstance(named, str) else ""
 
 
 def _main(files: list[str]) -> str:
@@ -107,7 +130,9 @@ def _main(files: list[str]) -> str:
 async def _taken(request: Request, tenant: str, server: Services, kind: str, name: str, consent: str = "") -> str:
     place = await asyncio.to_thread(server.uploads.place)
     try:
-        await multipart.body(request, place / name)
+        with (place / name).open("xb") as file:
+            async for piece in request.stream():
+                file.write(piece)
         if kind == PHOTO:
             name = (place / name).rename(place / f"photo{_photo_suffix(place / name)}").name
         return await asyncio.to_thread(server.uploads.add, tenant, place, kind, name, consent)

@@ -42,7 +42,6 @@ _MOST_JSON = 1 << 20  # bytes
 _MOST_PHOTO = 1 << 25
 _PATIENCE = 30.0  # seconds for the next piece of a body
 _CLIENTS = 10_000  # whose rates are known
-_BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)  # seconds, of a histogram
 _log = logging.getLogger("facepipe.server")
 
 
@@ -77,38 +76,29 @@ class Rates:
 
 
 class Metrics:
-    """Counts of requests, for Prometheus."""
+    """Counts of requests and their seconds, for Prometheus."""
 
     def __init__(self) -> None:
-        self._requests: defaultdict[tuple[str, str, int], int] = defaultdict(int)
-        self._seconds: defaultdict[str, list[float]] = defaultdict(lambda: [0.0] * (len(_BUCKETS) + 2))
+        self._requests: defaultdict[tuple[str, str, int], list[float]] = defaultdict(lambda: [0, 0.0])
 
     def add(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request."""
-        self._requests[method, route, status] += 1
-        counts = self._seconds[route]
-        for place, most in enumerate(_BUCKETS):
-            counts[place] += seconds <= most
-        counts[-2] += 1
-        counts[-1] += seconds
+        counted = self._requests[method, route, status]
+        counted[0] += 1
+        counted[1] += seconds
 
-    def text(self, more: dict[str, dict[str, float]]) -> str:
+    def text(self, jobs: dict[str, int]) -> str:
         """As Prometheus reads it.
 
-        :param more: gauge -> label, like ``state="queued"``, -> its value
+        :param jobs: how many there are by state
         """
-        lines = ["# TYPE facepipe_requests_total counter"]
-        for (method, route, status), number in sorted(self._requests.items()):
+        lines = ["# TYPE facepipe_request_seconds summary"]
+        for (method, route, status), (count, seconds) in sorted(self._requests.items()):
             said = f'method="{method}",route="{route}",status="{status}"'
-            lines.append(f"facepipe_requests_total{{{said}}} {number}")
-        lines.append("# TYPE facepipe_request_seconds histogram")
-        for route, counts in sorted(self._seconds.items()):
-            for bound, count in zip((*_BUCKETS, "+Inf"), counts, strict=False):
-                lines.append(f'facepipe_request_seconds_bucket{{route="{route}",le="{bound}"}} {count:g}')
-            lines.append(f'facepipe_request_seconds_count{{route="{route}"}} {counts[-2]:g}')
-            lines.append(f'facepipe_request_seconds_sum{{route="{route}"}} {counts[-1]:.6f}')
-        for name, values in more.items():
-            lines += [f"# TYPE {name} gauge", *(f"{name}{{{label}}} {value:g}" for label, value in values.items())]
+            lines.append(f"facepipe_request_seconds_count{{{said}}} {count}")
+            lines.append(f"facepipe_request_seconds_sum{{{said}}} {seconds:.6f}")
+        lines.append("# TYPE facepipe_jobs gauge")
+        lines += [f'facepipe_jobs{{state="{state}"}} {count}' for state, count in sorted(jobs.items())]
         return "\n".join(lines) + "\n"
 
 

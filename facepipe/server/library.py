@@ -154,10 +154,19 @@ class Library:
         """Keep the files below a folder, which were made of a version."""
         files = self.stored(tenant, version.face, folder)
         with self.database.write() as rows:
+            if rows.scalar(sa.select(FACES.c.id).where(FACES.c.id == version.face)) is None:
+                self.artefacts.remove(f"{tenant}/{version.face}")
             _own(rows, tenant, version.face)
             asked = sa.select(ARTEFACTS.c.path).where(*_of(version))
             there = set(rows.scalars(asked))  # two servers may make the same
             self._keep(rows, tenant, version, [one for one in files if one["path"] not in there], own=False)
+
+    def clear(self, tenant: str, face: str) -> None:
+        """Remove files that were brought for a face which is none: it was deleted meanwhile, or never came to be."""
+        with self.database.read() as rows:
+            there = rows.scalar(sa.select(FACES.c.id).where(FACES.c.id == face, FACES.c.tenant == tenant))
+        if there is None:
+            self.artefacts.remove(f"{tenant}/{face}")
 
     def _keep(
         self, rows: sa.Connection, tenant: str, version: Version, files: Iterable[Mapping[str, Any]], *, own: bool

@@ -240,8 +240,8 @@ class Runner:
         except RefusedError as error:
             kept, said = False, str(error)
             self._patiently(lambda: self._jobs.failed(job, said))
-        if not kept and job.base is None:  # cancelled, or done by another: nobody knows of its files
-            self._library.artefacts.remove(f"{job.tenant}/{job.face}")
+        if not kept:  # cancelled, or done by another
+            self._patiently(lambda: self._library.clear(job.tenant, job.face))
 
     def _laid(self, job: Any, folder: Path) -> tuple[list[str], list[Version]]:
         """Lay out what a job stands on; its line, and the versions among that."""

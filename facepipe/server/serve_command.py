@@ -122,7 +122,7 @@ def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
         ends.enter_context(locked(folder / "server", patience=0.0))
         listening = ends.enter_context(_listening(settings))
         address = _address(settings, listening.getsockname()[1])
-        os.environ["TMPDIR"] = str(folder / "work")  # of its processes too
+        os.environ["TMPDIR"] = tempfile.tempdir = str(folder / "work")  # of its processes too
         services = services_in(folder, settings)
         ends.callback(services.library.database.close)
         ends.callback(services.runner.close)

@@ -147,4 +147,4 @@ def test_what_is_no_face_is_refused_before_any_job(client: httpx.Client, tmp_pat
     assert client.post("/api/v1/faces", content=b"x", headers={"Content-Type": "text/plain"}).status_code == 400
     cut = b'--b\r\nContent-Disposition: form-data; name="files"; filename="a.obj"\r\n\r\nv 0 0'
     head = {"Content-Type": "multipart/form-data; boundary=b"}
-    assert "cut off" in client.post("/api/v1/faces", content=cut, headers=head).json()["error"]
+    assert client.post("/api/v1/faces", content=cut, headers=head).status_code == 400

@@ -210,10 +210,10 @@ def test_tables_go_from_each_version_to_the_latest_and_keep_their_rows(
 def test_of_many_who_claim_each_job_has_one(url: str, tmp_path: Path) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
-    from facepipe.server.artefacts import InFolder
+    from facepipe.server.artefacts import Artefacts
 
     with closing(Database(url)) as database:
-        library = Library(database, InFolder(tmp_path / "artefacts"), 10**9)
+        library = Library(database, Artefacts(str(tmp_path / "artefacts")), 10**9)
         tenant = tenant_named(database, "ada")
         servers = [Jobs(library, new_id()) for _ in range(4)]
         for _ in range(40):
