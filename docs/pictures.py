@@ -520,6 +520,77 @@ def web_blend(folder: Path) -> Image.Image:
     return viewed(folder, child, unfolded, "regions")
 
 
+@of_docs
+def studio(folder: Path) -> Image.Image:
+    """The studio's page with a blend of two people, the mouth the second one's."""
+    drag = """(async () => {
+      const until = async (look) => { while (!look()) await new Promise((done) => setTimeout(done, 100)); };
+      const { studio } = facepipe;
+      const { faces } = await (await fetch("api/v1/faces")).json();
+      await studio.addToBlend(faces[0]);
+      await until(() => studio.bench.face);
+      await studio.addToBlend(faces[1]);
+      await studio.route();
+      await until(() => document.body.dataset.live);
+      studio.bench.picked("mouth");
+      const range = document.querySelector("details[data-region=mouth] input[type=range]");
+      range.value = 1;
+      for (const one of ["input", "change"]) range.dispatchEvent(new Event(one));
+      delete document.body.dataset.live;
+      await until(() => document.body.dataset.live === "settled");
+    })()"""
+    return in_studio(folder, drag)
+
+
+@of_docs
+def studio_sliders(folder: Path) -> Image.Image:
+    """The studio's page with sliders of the nose."""
+    search = """(async () => {
+      const { studio } = facepipe;
+      const { faces } = await (await fetch("api/v1/faces")).json();
+      await studio.editSliders(faces[0]);
+      while (!document.querySelector("[data-name=noseWidth]")) await new Promise((done) => setTimeout(done, 100));
+      const search = document.querySelector("input[type=search]");
+      search.value = "nose";
+      search.dispatchEvent(new Event("input"));
+      for (const [name, value] of [["noseWidth", 1], ["noseLength", 0.7]]) {
+        const range = document.querySelector(`[data-name=${name}] input[type=range]`);
+        range.value = value;
+        for (const one of ["input", "change"]) range.dispatchEvent(new Event(one));
+      }
+    })()"""
+    return in_studio(folder, search)
+
+
+def in_studio(folder: Path, script: str) -> Image.Image:
+    """The studio of a server with two sample heads, after a script."""
+    if not build.is_built():
+        build.build()
+    line = [sys.executable, "-m", "facepipe", "serve", str(folder / "faces"), "--port", "0"]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        url = server.stdout.readline().split()[0]
+        try:
+            samples = """(async () => {
+              const headers = { "Content-Type": "application/json" };
+              for (const seed of [1, 3]) {
+                const body = JSON.stringify({ action: "sample", name: `Sample ${seed}`, fields: { seed } });
+                let job = await (await fetch("api/v1/jobs", { method: "POST", headers, body })).json();
+                while (job.state !== "done") {
+                  await new Promise((done) => setTimeout(done, 500));
+                  job = await (await fetch(`api/v1/jobs/${job.id}`)).json();
+                }
+              }
+            })()"""
+            ready = {"wait": "body[data-state=ready]"}
+            still = {"run": "new Promise((done) => setTimeout(done, 3000)).then(() => document.activeElement.blur())"}
+            picture = {"picture": str(folder / "page.png")}
+            browse(f"{url}studio.html", (1280, 800), [ready, {"run": samples}, {"run": script}, still, picture])
+        finally:
+            server.terminate()
+    return Image.open(folder / "page.png")
+
+
 def expressions(name: str, parts: FaceParts, report: TransferReport) -> list[tuple[str, Image.Image]]:
     """The mesh of a head as a wire frame, and some of the shapes that it got, in pictures of the face."""
     weights: dict[str, dict[str, float]] = {

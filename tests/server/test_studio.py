@@ -1,0 +1,225 @@
+"""The studio in headless Chromium, on a real server: what is clicked together there is what the command makes."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import browser
+import numpy as np
+import pytest
+from browser import Step, browse
+from command_line import exit_code
+from faces import tiny_face
+from served import Served, ended, kept, saved
+from slider_faces import sample_with_sliders
+
+import facepipe
+from facepipe.importers import read_face
+
+pytestmark = [pytest.mark.gate, pytest.mark.slow]
+
+READY: Step = {"wait": "body[data-state=ready]"}
+
+
+def when(condition: str) -> Step:
+    """A step that waits for JavaScript to be true, and gives what it then is; `bench` has the picture."""
+    body = f"const bench = facepipe.studio.bench; return {condition};"
+    poll = f"const look = () => {{ {body} }}; let found; for (let i = 0; i < 2400 && !(found = look()); i++)"
+    return {"run": f"(async () => {{ {poll} await new Promise((done) => setTimeout(done, 50)); return found; }})()"}
+
+
+def slide(selector: str, value: float) -> Step:
+    """A step that moves a slider and lets it go."""
+    find = f"const range = document.querySelector({json.dumps(selector)}); range.value = {value};"
+    events = "for (const one of ['input', 'change']) range.dispatchEvent(new Event(one));"
+    return {"run": f"(() => {{ {find} {events} }})()"}
+
+
+def click_on(region: str) -> Step:
+    """A step that clicks a place of the picture whose region this is."""
+    return {
+        "run": f"""(async () => {{
+          const bench = facepipe.studio.bench, {{ canvas }} = bench.picture;
+          const {{ left, top, width, height }} = canvas.getBoundingClientRect();
+          for (let y = 0.1; y < 0.95; y += 0.05) for (let x = 0.2; x < 0.8; x += 0.05) {{
+            const at = {{ clientX: left + x * width, clientY: top + y * height, pointerId: 1, bubbles: true }};
+            if (bench.regionAt(at.clientX, at.clientY) !== {json.dumps(region)}) continue;
+            for (const one of ["pointerdown", "pointerup"]) canvas.dispatchEvent(new PointerEvent(one, at));
+            return document.querySelector("details[data-region][open]").dataset.region;
+          }}
+          return null;
+        }})()"""
+    }
+
+
+def to_blend(name: str) -> list[Step]:
+    card = f".card:has-text('{name}')"
+    return [{"click": "#parts a:has-text('Library')"}, {"wait": card}, {"click": card}, {"click": "text=Add to blend"}]
+
+
+def extracted(server: Served, folder: Path) -> Path:
+    """All faces that are kept, as they lie in the export."""
+    with zipfile.ZipFile(BytesIO(server.client.get("/api/v1/me/export").content)) as export:
+        export.extractall(folder)
+    return folder / "faces"
+
+
+def test_two_heads_are_blended_by_clicks_and_cook_makes_the_same_bytes(shared_server: Served, tmp_path: Path) -> None:
+    """What the page shows as its last state has the points of what is saved."""
+    browser.chromium()
+    heads = [saved(sample_with_sliders(), tmp_path / "one.usdc")]
+    parts = sample_with_sliders()
+    rng = np.random.default_rng(1)
+    import dataclasses
+
+    meshes = [
+        dataclasses.replace(mesh, points=mesh.points + rng.normal(0, 0.002, 3) * (1 + mesh.points))
+        for mesh in parts.meshes
+    ]
+    heads.append(saved(dataclasses.replace(parts, meshes=tuple(meshes)), tmp_path / "two.usdc"))
+    ids = [kept(shared_server.client, head, f"Studio {name}") for head, name in zip(heads, ("one", "two"), strict=True)]
+    region = "mouth"
+    points = "bench.face.face.meshes.map((one) => [one.name, [...bench.face.face.points(one.name)]])"
+    results, problems = browse(
+        f"{shared_server.url}studio.html",
+        READY,
+        *to_blend("Studio one"),
+        when("bench.face !== null"),
+        *to_blend("Studio two"),
+        when("document.body.dataset.live === 'settled'"),
+        click_on(region),
+        {"run": "delete document.body.dataset.live"},
+        slide("details[data-region][open] input[type=range]", 0.9),
+        when("document.body.dataset.live === 'settled'"),
+        {"run": "delete document.body.dataset.live"},
+        slide("details[data-region=default] input[type=range]", 0.25),
+        when("document.body.dataset.live === 'settled'"),
+        {"click": "text=Undo"},
+        {"click": "text=Redo"},
+        {"run": "new Promise((done) => setTimeout(done, 1000))"},
+        when("document.body.dataset.live === 'settled'"),
+        {"run": f"(() => {{ const bench = facepipe.studio.bench; return {points}; }})()"},
+        {"fill": ["input[aria-label='Name of the blend']", "Child"]},
+        {"click": "section[aria-label=Save] button"},
+        when("document.body.dataset.saved"),
+    )
+    assert problems == []
+    assert region in results
+    shown: list[Any] = next(one for one in reversed(results) if isinstance(one, list))
+    face, version = results[-1].split("/")
+    folder = extracted(shared_server, tmp_path / "export")
+    stage = folder / face / version / "face.usdc"
+    recipe = facepipe.open(stage).parts().recipe
+    assert recipe is not None
+    weights = dict(recipe.options)["weights"]
+    assert weights["default"] == pytest.approx([0.75, 0.25])
+    assert weights["regions"][region] == pytest.approx([0.1, 0.9])
+    assert {
+        one["face"] for one in shared_server.client.get(f"/api/v1/faces/{face}").json()["versions"][0]["sources"]
+    } == {*ids}
+    content = stage.read_bytes()
+    assert exit_code("cook", stage, "--force", "--root", folder.parent) == 0
+    assert stage.read_bytes() == content
+    child = facepipe.open(stage)
+    whole = child.evaluate(pose="set") @ child.parts().gltf_axes[:3, :3].T
+    by_name = dict(
+        zip(
+            [mesh.name for mesh in child.parts().meshes],
+            np.split(whole, np.cumsum([len(mesh.points) for mesh in child.parts().meshes])[:-1]),
+            strict=True,
+        )
+    )
+    height = child.head_height * child.meters_per_unit
+    for name, values in shown:
+        off = np.abs(np.array(values).reshape(-1, 3) - by_name[name]).max()
+        assert off < 1e-3 * height, name
+
+
+def test_sliders_are_saved_as_a_version_whose_values_they_are(shared_server: Served, tmp_path: Path) -> None:
+    """Mirrored to the other side, undone and done again; and a version that was saved meanwhile is told."""
+    browser.chromium()
+    parts = sample_with_sliders()
+    face = kept(shared_server.client, saved(parts, tmp_path / "sample.usdc"), "Studio sliders")
+    paired = next(one for one in parts.sliders if one.mirror is not None)
+    row = f".row[data-name={paired.name}] input[type=range]"
+    results, problems = browse(
+        f"{shared_server.url}studio.html#sliders/{face}",
+        READY,
+        {"wait": row},
+        slide(row, 0.5),
+        slide(".row[data-name=curved] input[type=range]", -0.75),
+        {"press": "Control+z"},
+        {"press": "Control+y"},
+        {"click": "text=Save as a version"},
+        when("document.body.dataset.saved"),
+    )
+    assert problems == []
+    assert results[-1] == f"{face}/2"
+    stage = extracted(shared_server, tmp_path / "export") / face / "2" / "face.usdc"
+    values = {one.name: one.setting for one in facepipe.open(stage).sliders}
+    assert values[paired.name] == values[str(paired.mirror)] == pytest.approx(0.5)
+    assert values["curved"] == pytest.approx(-0.75)
+    assert {name for name, value in values.items() if value} == {paired.name, paired.mirror, "curved"}
+
+
+def test_a_dropped_file_is_in_the_library_and_can_be_deleted(shared_server: Served, tmp_path: Path) -> None:
+    browser.chromium()
+    head = saved(tiny_face(2), tmp_path / "Dropped head.usdc")
+    card = ".card:has-text('Dropped head')"
+    results, problems = browse(
+        f"{shared_server.url}studio.html",
+        READY,
+        {"upload": [".library input[type=file]", str(head)]},
+        {"wait": card},
+        {"run": f"document.querySelector({json.dumps(card.split(':')[0])}).dataset.face"},
+        {"fill": ["input[aria-label=Name]", "Renamed"]},
+        {"press": "Tab"},
+        {"wait": ".card:has-text('Renamed')"},
+        {"run": "window.confirm = () => true"},
+        {"click": "text=Delete this face"},
+        when("![...document.querySelectorAll('.card')].some((one) => one.textContent.includes('Renamed'))"),
+    )
+    assert problems == []
+    assert results[-1] is True
+    assert shared_server.client.get(f"/api/v1/faces/{results[3]}").status_code == 404
+
+
+@pytest.mark.needs_torch
+def test_a_photo_becomes_a_person_that_is_edited_and_exported(shared_server: Served, tmp_path: Path) -> None:
+    """Nothing of the photo stays, and the GLB is the person with the slider that was moved."""
+    browser.chromium()
+    from import_data import shared
+
+    photo = shared("photos/astronaut.png")
+    results, problems = browse(
+        f"{shared_server.url}studio.html#photo",
+        READY,
+        {"upload": ["#panel input[type=file] >> nth=1", str(photo)]},
+        {"click": "#agreed"},
+        {"click": "text=Make the face"},
+        when("document.body.dataset.saved"),
+        {"run": "const saved = document.body.dataset.saved; delete document.body.dataset.saved; saved"},
+        {"click": "text=Edit sliders"},
+        {"wait": ".row[data-name=noseWidth]"},
+        slide(".row[data-name=noseWidth] input[type=range]", 1.0),
+        {"click": "text=Save as a version"},
+        when("document.body.dataset.saved"),
+    )
+    assert problems == []
+    face, number = results[-1].split("/")
+    assert int(number) == 2
+    before, after = (
+        shared_server.client.get(f"/api/v1/faces/{face}/versions/{one}/face.glb").content for one in (1, 2)
+    )
+    points = []
+    for number_, content in enumerate((before, after)):
+        (tmp_path / f"{number_}.glb").write_bytes(content)
+        points.append(read_face(tmp_path / f"{number_}.glb").parts().meshes[0].points)
+    assert 1e-3 < np.abs(points[0] - points[1]).max() < 0.05  # metres
+    assert (
+        ended(shared_server.client, shared_server.client.get("/api/v1/jobs").json()["jobs"][0]["id"])["state"] == "done"
+    )
