@@ -30,7 +30,6 @@ PROTOCOL = "facepipe.1"
 _HEAD = struct.Struct("<II")  # number of the request, and whether no other answer to it follows
 _MOST_SOURCES = 16
 _MOST_SOCKETS = 64
-_MOST_TEXT = 1 << 16  # bytes of a message
 _PATIENCE = 10.0  # seconds for the first one
 _REFUSED, _TOO_MANY = 1008, 1013  # codes of closing
 _Slider = Annotated[str, StringConstraints(min_length=1, max_length=200)]
@@ -120,7 +119,7 @@ async def _opening(socket: WebSocket) -> Opening | None:
     """What the first message opens; None where it is told why not."""
     try:
         text = await asyncio.wait_for(socket.receive_text(), _PATIENCE)
-        first = _First.model_validate_json(text[: _MOST_TEXT + 1])
+        first = _First.model_validate_json(text)
         tenant = await socket.state.tenant_of(first.token)
     except (ValidationError, KeyError, TimeoutError, RefusedError) as error:
         told = str(error) if isinstance(error, RefusedError) else "message: expected {token, open} first"
@@ -149,13 +148,11 @@ class _Editing:
             while True:
                 text = await self._socket.receive_text()
                 try:
-                    self._waiting = _Edit.model_validate_json(text) if len(text) <= _MOST_TEXT else None
+                    self._waiting = _Edit.model_validate_json(text)
                 except ValidationError:
-                    self._waiting = None
-                if self._waiting is None:
                     await self._send("message: expected {n, weights} or {n, values}")
-                    continue
-                self._there.set()
+                else:
+                    self._there.set()
         except KeyError:  # bytes
             await self._socket.close(_REFUSED)
         finally:

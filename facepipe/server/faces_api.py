@@ -210,7 +210,7 @@ def delete_face(
     """Without `dependents=keep` it is refused where recipes of others name it; these are listed."""
     for job in server.library.delete(tenant, face, keep=dependents == "keep"):
         server.runner.cancel(job)
-    server.sessions.forget(face)
+    server.sessions.forget(tenant, face)
 
 
 @router.post("/faces/{face}/versions", summary="Save an edit of a version", status_code=202)

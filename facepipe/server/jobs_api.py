@@ -135,8 +135,6 @@ def export_me(tenant: Tenant, server: Server) -> Response:
 
 @router.delete("/me", summary="Delete all that is kept of who asks, tokens too", status_code=204)
 def delete_me(tenant: Tenant, server: Server) -> None:
-    faces, jobs = tenants.delete(server.library, server.uploads, tenant)
-    for job in jobs:
+    for job in tenants.delete(server.library, server.uploads, tenant):
         server.runner.cancel(job)
-    for face in faces:
-        server.sessions.forget(face)
+    server.sessions.forget(tenant)

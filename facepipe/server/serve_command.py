@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _PATIENCE = 30.0  # seconds for the head of a request
 _GRACE = 10  # seconds for requests that are being answered as it ends
 _MOST_CONNECTIONS = 1000
-_MOST_HEAD = 1 << 16  # bytes
+_MOST_HEAD = _MOST_TEXT = 1 << 16  # bytes of a request's head, and of a websocket's message
 _WILD = ("0.0.0.0", "::")
 _DEMO = (1, 2, 3)  # seeds
 _TOKEN = "token"
@@ -132,6 +132,7 @@ def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
             _add_heads(services)
         own: Any = {"ssl_certfile": settings.tls_cert, "ssl_keyfile": settings.tls_key}
         limits: Any = {"h11_max_incomplete_event_size": _MOST_HEAD, "limit_concurrency": _MOST_CONNECTIONS}
+        limits |= {"ws_max_size": _MOST_TEXT}
         quiet: Any = {"log_config": None, "access_log": False, "server_header": False, "proxy_headers": False}
         times: Any = {"timeout_graceful_shutdown": _GRACE, "timeout_keep_alive": int(_PATIENCE)}
         config = uvicorn.Config(app, http=Connection, loop="asyncio", **own, **limits, **quiet, **times)

@@ -212,10 +212,12 @@ class Sessions:
             return answer
         raise AssertionError
 
-    def forget(self, face: str) -> None:
-        """End the sessions of a face that was deleted; their copies of it go with them."""
-        for opening in [one for one in self._open if any(version.face == face for version in one.faces)]:
-            self._open.pop(opening).end()
+    def forget(self, tenant: str, face: str | None = None) -> None:
+        """End the sessions of a face that was deleted, or of a tenant, from any thread; their copies go with them."""
+        for opening, session in list(self._open.items()):
+            named = face is None or any(version.face == face for version in opening.faces)
+            if opening.tenant == tenant and named and self._open.pop(opening, None) is not None:
+                session.end()
 
     def close(self) -> None:
         """End them all."""

@@ -108,17 +108,16 @@ def export(library: Library, tenant: str, out: BinaryIO) -> None:
                 shutil.copyfileobj(kept, copy)
 
 
-def delete(library: Library, uploads: Uploads, tenant: str) -> tuple[list[str], list[str]]:
-    """Delete a tenant with all that is kept of it, tokens and jobs too; its faces, and the jobs that had not ended."""
+def delete(library: Library, uploads: Uploads, tenant: str) -> list[str]:
+    """Delete a tenant with all that is kept of it, tokens and jobs too; the jobs that had not ended."""
     uploads.remove_of(tenant)
     with library.database.write() as rows:
         waits = sa.select(JOBS.c.id).where(JOBS.c.tenant == tenant, JOBS.c.state.in_(("queued", "running")))
         ended = list(rows.scalars(waits))
-        faces = list(rows.scalars(sa.select(FACES.c.id).where(FACES.c.tenant == tenant)))
         known = rows.execute(sa.select(TENANTS).where(TENANTS.c.id == tenant)).mappings().first()
         rows.execute(TENANTS.delete().where(TENANTS.c.id == tenant))
         if known is not None and known["name"] == LOCAL:  # who asks without a token goes on, with nothing
             rows.execute(TENANTS.insert().values(**known))
     library.artefacts.remove(tenant)
     library.database.forget()
-    return faces, ended
+    return ended

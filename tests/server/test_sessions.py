@@ -202,7 +202,7 @@ def test_sessions_of_a_deleted_face_end(folder: Path, blend: Opening) -> None:
     async def work(sessions: Sessions) -> tuple[int, int]:
         await sessions.opened(blend)
         await sessions.opened(other)
-        sessions.forget("a.usda")
+        sessions.forget(str(folder), "a.usda")
         until = time.monotonic() + 60
         while len(list((folder / "sessions").iterdir())) > 1 and time.monotonic() < until:
             await asyncio.sleep(0.05)
