@@ -567,7 +567,8 @@ def in_studio(folder: Path, script: str) -> Image.Image:
     if not build.is_built():
         build.build()
     line = [sys.executable, "-m", "facepipe", "serve", str(folder / "faces"), "--port", "0"]
-    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as server:
+    quiet: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    with subprocess.Popen(line, **quiet) as server:
         assert server.stdout is not None
         url = server.stdout.readline().split()[0]
         try:
