@@ -25,14 +25,15 @@ from facepipe.parts import Slider
 
 pytestmark = [pytest.mark.gate, pytest.mark.slow]
 
-READY: Step = {"wait": "body[data-state=ready]"}
-
 
 def when(condition: str) -> Step:
     """A step that waits for JavaScript to be true, and gives what it then is; `bench` has the picture."""
-    body = f"const bench = facepipe.studio.bench; return {condition};"
+    body = f"const bench = globalThis.facepipe?.studio.bench; return {condition};"
     poll = f"const look = () => {{ {body} }}; let found; for (let i = 0; i < 2400 && !(found = look()); i++)"
     return {"run": f"(async () => {{ {poll} await new Promise((done) => setTimeout(done, 50)); return found; }})()"}
+
+
+READY = when("document.body.dataset.state === 'ready'")
 
 
 def slide(selector: str, value: float) -> Step:
