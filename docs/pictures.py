@@ -538,6 +538,7 @@ def studio(folder: Path) -> Image.Image:
       for (const one of ["input", "change"]) range.dispatchEvent(new Event(one));
       delete document.body.dataset.live;
       await until(() => document.body.dataset.live === "settled");
+      await until(() => [...document.querySelectorAll(".sources img")].every((one) => one.src && one.complete));
     })()"""
     return in_studio(folder, drag)
 
@@ -575,7 +576,8 @@ def in_studio(folder: Path, script: str) -> Image.Image:
             samples = """(async () => {
               const headers = { "Content-Type": "application/json" };
               for (const seed of [1, 3]) {
-                const body = JSON.stringify({ action: "sample", name: `Sample ${seed}`, fields: { seed } });
+                const fields = { seed, textures: 1024 };
+                const body = JSON.stringify({ action: "sample", name: `Sample ${seed}`, fields });
                 let job = await (await fetch("api/v1/jobs", { method: "POST", headers, body })).json();
                 while (job.state !== "done") {
                   await new Promise((done) => setTimeout(done, 500));
