@@ -47,7 +47,7 @@ def test_continuous_integration_begins_with_the_commands_of_readme() -> None:
     assert (
         script.index("readme 1 demo")
         < script.index("readme 2 whole")
-        < script.index('[dev,train,scan]" -c .ci/torch.txt\n')
+        < script.index('[dev,train,scan,server]" -c .ci/torch.txt\n')
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import bombs
 import httpx
 import pytest
-from faces import tiny_face
+from full_faces import full_face
 from hostile_folders import World, fbx, gltf, make_stock, noise, obj, over, pixels_of, textured
 from served import Served, ended
 from small_sources import made
@@ -39,7 +39,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Good files."""
     folder = tmp_path_factory.mktemp("stock") / "sent"
     folder.mkdir()
-    make_stock(folder, tiny_face(), (made(0), made(1)))
+    make_stock(folder, full_face(), (made(0), made(1)))
     return folder
 
 
