@@ -26,11 +26,13 @@ from facepipe.parts import Slider
 pytestmark = [pytest.mark.gate, pytest.mark.slow]
 
 
-def when(condition: str) -> Step:
+def when(condition: str, seconds: int = 240) -> Step:
     """A step that waits for JavaScript to be true, and gives what it then is; `bench` has the picture."""
-    body = f"const bench = globalThis.facepipe?.studio.bench; return {condition};"
-    poll = f"const look = () => {{ {body} }}; let found; for (let i = 0; i < 2400 && !(found = look()); i++)"
-    return {"run": f"(async () => {{ {poll} await new Promise((done) => setTimeout(done, 50)); return found; }})()"}
+    look = f"() => {{ const bench = globalThis.facepipe?.studio.bench; return {condition}; }}"
+    poll = f"for (let i = 0; i < {20 * seconds} && !(found = look()); i++)"
+    wait = "await new Promise((done) => setTimeout(done, 50));"
+    told = f"if (!found) throw new Error('did not come: ' + {json.dumps(condition)} + document.body.innerText.slice(-300));"
+    return {"run": f"(async () => {{ const look = {look}; let found; {poll} {wait} {told} return found; }})()"}
 
 
 READY = when("document.body.dataset.state === 'ready'")
@@ -205,7 +207,7 @@ def test_a_photo_becomes_a_person_that_is_edited_and_exported(shared_server: Ser
         {"upload": ["#panel input[type=file] >> nth=1", str(photo)]},
         {"click": "#agreed"},
         {"click": "text=Make the face"},
-        when("document.body.dataset.saved"),
+        when("document.body.dataset.saved", 800),
         {"run": "const saved = document.body.dataset.saved; delete document.body.dataset.saved; saved"},
         {"click": "text=Edit sliders"},
         {"wait": ".row[data-name=noseWidth]"},

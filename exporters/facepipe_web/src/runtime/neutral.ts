@@ -3,6 +3,7 @@ import { BufferAttribute, type BufferGeometry, type Mesh, Vector3 } from "three"
 import { type FaceMesh, pointNumbers } from "./glb";
 
 type Attribute = BufferGeometry["attributes"][string];
+type Writable = BufferAttribute["array"];
 
 const kept = new WeakMap<BufferGeometry, Record<string, { file: Attribute; own: BufferAttribute }>>();
 
@@ -13,42 +14,59 @@ const kept = new WeakMap<BufferGeometry, Record<string, { file: Attribute; own: 
  */
 export function setNeutral(mesh: FaceMesh, place: (primitive: Mesh, vertex: number, point: number, out: Vector3) => void): void {
   const sums = new Float32Array(3 * mesh.pointCount);
-  const [a, b, c] = [new Vector3(), new Vector3(), new Vector3()];
+  const at = new Vector3();
   for (const primitive of mesh.primitives) {
     const { geometry } = primitive;
-    const [numbers, position] = [pointNumbers(primitive), own(geometry, "position")!];
+    const [numbers, position] = [pointNumbers(primitive), own(geometry, "position")!.array];
     for (let vertex = 0; vertex < numbers.length; vertex++) {
-      place(primitive, vertex, numbers[vertex], a);
-      a.toArray(position.array, 3 * vertex);
+      place(primitive, vertex, numbers[vertex], at);
+      at.toArray(position, 3 * vertex);
     }
-    const index = geometry.index!;
-    for (let corner = 0; corner < index.count; corner += 3) {
-      const vertices = [index.getX(corner), index.getX(corner + 1), index.getX(corner + 2)];
-      a.fromArray(position.array, 3 * vertices[0]);
-      b.fromArray(position.array, 3 * vertices[1]).sub(a);
-      c.fromArray(position.array, 3 * vertices[2]).sub(a);
-      b.cross(c);
-      for (const vertex of vertices) {
-        const at = 3 * numbers[vertex];
-        sums[at] += b.x;
-        sums[at + 1] += b.y;
-        sums[at + 2] += b.z;
-      }
-    }
+    addNormals(sums, geometry.index!.array, numbers, position);
     geometry.boundingBox = geometry.boundingSphere = null;
   }
   for (const primitive of mesh.primitives) {
     const numbers = pointNumbers(primitive);
-    const [normal, tangent] = [own(primitive.geometry, "normal"), own(primitive.geometry, "tangent")];
+    const normal = own(primitive.geometry, "normal")?.array;
+    const tangent = own(primitive.geometry, "tangent")?.array;
     for (let vertex = 0; normal && vertex < numbers.length; vertex++) {
-      a.fromArray(sums, 3 * numbers[vertex]);
-      if (!a.lengthSq()) continue; // of no triangle: as it was
-      a.normalize().toArray(normal.array, 3 * vertex);
-      if (!tangent) continue;
-      b.fromArray(tangent.array, 4 * vertex);
-      b.addScaledVector(a, -b.dot(a)).normalize().toArray(tangent.array, 4 * vertex);
+      const from = 3 * numbers[vertex];
+      const length = Math.sqrt(sums[from] ** 2 + sums[from + 1] ** 2 + sums[from + 2] ** 2);
+      if (!length) continue; // of no triangle: as it was
+      const [x, y, z] = [sums[from] / length, sums[from + 1] / length, sums[from + 2] / length];
+      const to = 3 * vertex;
+      normal[to] = x;
+      normal[to + 1] = y;
+      normal[to + 2] = z;
+      if (tangent) turnTangent(tangent, 4 * vertex, x, y, z);
     }
   }
+}
+
+/** Add the normals of triangles, as long as their areas, to sums by points; numbers alone, as faces are dragged by this. */
+function addNormals(sums: Float32Array, index: ArrayLike<number>, numbers: ArrayLike<number>, position: ArrayLike<number>): void {
+  for (let corner = 0; corner < index.length; corner += 3) {
+    const [a, b, c] = [3 * index[corner], 3 * index[corner + 1], 3 * index[corner + 2]];
+    const [ux, uy, uz] = [position[b] - position[a], position[b + 1] - position[a + 1], position[b + 2] - position[a + 2]];
+    const [vx, vy, vz] = [position[c] - position[a], position[c + 1] - position[a + 1], position[c + 2] - position[a + 2]];
+    const [x, y, z] = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx];
+    for (let k = 0; k < 3; k++) {
+      const to = 3 * numbers[index[corner + k]];
+      sums[to] += x;
+      sums[to + 1] += y;
+      sums[to + 2] += z;
+    }
+  }
+}
+
+/** Make a tangent stand on a normal again. */
+function turnTangent(tangent: Writable, at: number, x: number, y: number, z: number): void {
+  const along = tangent[at] * x + tangent[at + 1] * y + tangent[at + 2] * z;
+  const [tx, ty, tz] = [tangent[at] - along * x, tangent[at + 1] - along * y, tangent[at + 2] - along * z];
+  const length = Math.sqrt(tx * tx + ty * ty + tz * tz) || 1;
+  tangent[at] = tx / length;
+  tangent[at + 1] = ty / length;
+  tangent[at + 2] = tz / length;
 }
 
 /**
@@ -57,10 +75,18 @@ export function setNeutral(mesh: FaceMesh, place: (primitive: Mesh, vertex: numb
  */
 export function offsetNeutral(mesh: FaceMesh, offsets: Float32Array, first: number): void {
   setNeutral(mesh, ({ geometry }, vertex, point, out) => {
-    const at = 3 * (first + point);
-    out.fromBufferAttribute(kept.get(geometry)!.position.file as BufferAttribute, vertex);
-    out.set(out.x + offsets[at], out.y + offsets[at + 1], out.z + offsets[at + 2]);
+    const [file, at, from] = [filePositions(geometry), 3 * (first + point), 3 * vertex];
+    out.set(file[from] + offsets[at], file[from + 1] + offsets[at + 1], file[from + 2] + offsets[at + 2]);
   });
+}
+
+const positions = new WeakMap<BufferGeometry, Writable>();
+
+/** Where the file has the vertices, as floats. */
+function filePositions(geometry: BufferGeometry): Writable {
+  let found = positions.get(geometry);
+  if (!found) positions.set(geometry, (found = floats(kept.get(geometry)!.position.file).array));
+  return found;
 }
 
 /** Put a mesh's vertices back where they are in the file. */
