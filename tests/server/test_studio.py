@@ -31,7 +31,8 @@ def when(condition: str, seconds: int = 240) -> Step:
     look = f"() => {{ const bench = globalThis.facepipe?.studio.bench; return {condition}; }}"
     poll = f"for (let i = 0; i < {20 * seconds} && !(found = look()); i++)"
     wait = "await new Promise((done) => setTimeout(done, 50));"
-    told = f"if (!found) throw new Error('did not come: ' + {json.dumps(condition)} + document.body.innerText.slice(-300));"
+    said = json.dumps(f"did not come: {condition}: ")
+    told = f"if (!found) throw new Error({said} + document.body.innerText.slice(-300));"
     return {"run": f"(async () => {{ const look = {look}; let found; {poll} {wait} {told} return found; }})()"}
 
 
