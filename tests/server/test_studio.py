@@ -225,7 +225,8 @@ def test_a_photo_becomes_a_person_that_is_edited_and_exported(shared_server: Ser
     points = []
     for number_, content in enumerate((before, after)):
         (tmp_path / f"{number_}.glb").write_bytes(content)
-        points.append(read_face(tmp_path / f"{number_}.glb").parts().meshes[0].points)
+        head = read_face(tmp_path / f"{number_}.glb").parts()
+        points.append(head.meshes[0].points * head.meters_per_unit)
     assert 1e-3 < np.abs(points[0] - points[1]).max() < 0.05  # metres
     assert (
         ended(shared_server.client, shared_server.client.get("/api/v1/jobs").json()["jobs"][0]["id"])["state"] == "done"
