@@ -30,6 +30,8 @@ from urllib.parse import urlsplit
 from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import emit, note
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_written
+from facepipe.core.reading import check_input
 from facepipe.server.settings import Settings
 
 if TYPE_CHECKING:
@@ -75,10 +77,17 @@ def run(arguments: argparse.Namespace) -> int:
                 ends.enter_context(tempfile.TemporaryDirectory(prefix="facepipe-", ignore_cleanup_errors=True))
             )
         else:
-            folder = Path(arguments.words[0]).absolute()
+            folder = _folder(arguments.words[0])
         with contextlib.suppress(KeyboardInterrupt):
             _serve(folder, settings, demo=arguments.demo)
     return 0
+
+
+def _folder(word: str) -> Path:
+    """:raises InputError: a URL, or a place outside the roots"""
+    check_input(Path(word))
+    check_written(Path(word))
+    return Path(word).absolute()
 
 
 def _token(arguments: argparse.Namespace, settings: Settings) -> int:
@@ -90,7 +99,7 @@ def _token(arguments: argparse.Namespace, settings: Settings) -> int:
     named = {"add": 1, "revoke": 1, "list": 0}
     if what not in named or not named[what] <= len(rest) <= named[what] + 1:
         raise InputError(_TOKEN, "expected add TENANT FOLDER, revoke TENANT FOLDER, or list FOLDER")
-    folder = Path(rest[named[what]]).absolute() if len(rest) > named[what] else None
+    folder = _folder(rest[named[what]]) if len(rest) > named[what] else None
     if folder is None and settings.database is None:
         raise InputError(_TOKEN, "no FOLDER, expected one, or --database")
     if folder is not None:
@@ -112,11 +121,9 @@ def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
     import uvicorn
 
     from facepipe.core.locks import locked
-    from facepipe.core.policy.paths import check_written
     from facepipe.server.app import create_app, services_in
     from facepipe.server.connection import Connection
 
-    check_written(folder)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     with contextlib.ExitStack() as ends:
         ends.enter_context(locked(folder / "server", patience=0.0))

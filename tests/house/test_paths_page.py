@@ -194,7 +194,8 @@ OPENED = {
         facepipe.networks.files:own_mask_network facepipe.rig.conventions:_tables
         facepipe.stage.prims:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
         facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
-        facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:view
+        facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.build:page_files
+        facepipe_web.viewer:view
         """,
     "it was typed, and is checked by the command line or its reader": """
         facepipe.checks:validate facepipe.cli:_project facepipe.importers.npz:read_arrays
@@ -219,6 +220,16 @@ OPENED = {
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
         facepipe_web.viewer:write_assets facepipe_web.viewer:_Handler._file
+        """,
+    "it lies in the folder of a server, which names all that is in it": """
+        facepipe.server.app:services_in facepipe.server.artefacts:Artefacts.put
+        facepipe.server.artefacts:Artefacts.open facepipe.server.faces_api:_photo_suffix
+        facepipe.server.library:Library.stored facepipe.server.library:Library.open facepipe.server.library:Library.lay
+        facepipe.server.program:_thumbnail facepipe.server.program:_person facepipe.server.program:_package
+        facepipe.server.program:_onnx facepipe.server.runner:Runner.__init__ facepipe.server.runner:Runner._place
+        facepipe.server.serve_command:_token facepipe.server.serve_command:_serve facepipe.server.tenants:export
+        facepipe.server.uploads:Uploads.__init__ facepipe.server.uploads:Uploads.place
+        facepipe.server.uploads:Uploads.add facepipe.server.uploads:Uploads.lay facepipe.server.uploads:Uploads.sweep
         """,
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
