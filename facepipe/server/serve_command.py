@@ -129,7 +129,7 @@ def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
         ends.enter_context(locked(folder / "server", patience=0.0))
         listening = ends.enter_context(_listening(settings))
         address = _address(settings, listening.getsockname()[1])
-        os.environ["TMPDIR"] = tempfile.tempdir = str(folder / "work")  # of its processes too
+        ends.enter_context(_temporary_in(folder / "work"))
         services = services_in(folder, settings)
         ends.callback(services.library.database.close)
         ends.callback(services.runner.close)
@@ -147,6 +147,21 @@ def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
         emit({}, f"{_shown(settings, listening.getsockname()[1])}  (Ctrl-C ends)", as_json=False)
         sys.stdout.flush()
         uvicorn.Server(config).run(sockets=[listening])
+
+
+@contextlib.contextmanager
+def _temporary_in(folder: Path) -> Iterator[None]:
+    """Temporary files of this process, and of those that it starts, lie where a server clears them away."""
+    before, own = os.environ.get("TMPDIR"), tempfile.tempdir
+    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = own
+        if before is None:
+            del os.environ["TMPDIR"]
+        else:
+            os.environ["TMPDIR"] = before
 
 
 @contextlib.contextmanager

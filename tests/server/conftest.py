@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from faces import tiny_face
-from served import Served, saved
-
-Serve = Callable[..., Served]
+from served import Serve, Served, saved
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
-from conftest import Serve
-from served import Served, done, ended, kept, sent
+from served import Serve, Served, done, ended, kept, sent
 
 
 def attempts(folder: Path) -> dict[str, list[str | None]]:

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Serve
 from faces import tiny_face
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from region_painter import legend_of
-from served import Served, done, ended, kept
+from served import Serve, Served, done, ended, kept
 
 from facepipe.stage import open_face
 

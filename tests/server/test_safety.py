@@ -7,6 +7,7 @@ import json
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 from command_line import Capsys, failed
-from conftest import Serve
-from served import Served, ended, kept, sent
+from served import Serve, Served, ended, kept, sent
 
 from facepipe.actions import find_action
 from facepipe.declare import fields_of
@@ -201,8 +201,9 @@ def test_metrics_count_without_naming(client: httpx.Client, heads: list[Path]) -
 
 
 def test_elsewhere_than_here_somebody_must_have_a_token(tmp_path: Path, capsys: Capsys) -> None:
-    line = ("serve", tmp_path / "state", "--host", "0.0.0.0", "--port", "0")
+    line, before = ("serve", tmp_path / "state", "--host", "0.0.0.0", "--port", "0"), tempfile.gettempdir()
     assert "nobody has a token" in failed(capsys, *line, folder=tmp_path / "other")
+    assert tempfile.gettempdir() == before
 
 
 def test_the_interface_describes_itself(client: httpx.Client) -> None:

@@ -16,8 +16,7 @@ import httpx
 import pytest
 import s3_server
 import sqlalchemy as sa
-from conftest import Serve
-from served import Served, done, ended, kept, sent
+from served import Serve, Served, done, ended, kept, sent
 
 from facepipe.core.errors import InputError
 from facepipe.server import tables

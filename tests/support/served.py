@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,9 @@ def ended(client: httpx.Client, job: str) -> dict[str, Any]:
             return found
         assert time.monotonic() < until, found
         time.sleep(0.1)
+
+
+Serve = Callable[..., Served]  # the fixture that starts servers
 
 
 def sent(client: httpx.Client, *files: Path, name: str | None = None) -> httpx.Response:
