@@ -26,8 +26,10 @@ import numpy as np
 from arguments import positive
 from tables import aligned
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 
 _EDITS = 100  # that are dragged
+_PROTOCOL = Subprotocol("facepipe.1")
 
 
 def weights(number: int) -> dict[str, Any]:
@@ -50,7 +52,9 @@ async def measured(url: str, sources: list[list[dict[str, Any]]], rate: float, s
         sockets = []
         for own in sources:
             socket = await ends.enter_async_context(
-                connect(f"ws{url[4:]}api/v1/edit", subprotocols=["facepipe.1"], max_size=None, open_timeout=300)  # type: ignore[list-item]
+                connect(
+                    f"ws{url[4:]}api/v1/edit", subprotocols=[Subprotocol("facepipe.1")], max_size=None, open_timeout=300
+                )
             )
             await socket.send(json.dumps({"open": {"blend": {"sources": own}}}))
             told = json.loads(await socket.recv())

@@ -6,7 +6,7 @@ import asyncio
 import shutil
 from pathlib import Path as FilePath
 from pathlib import PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
@@ -266,4 +266,4 @@ async def get_file(
     return StreamingResponse(iterate_in_threadpool(pieces()), headers=headers, media_type=kind)
 
 
-assert {*What.__args__} == {STAGE, *MADE}  # type: ignore[attr-defined]
+assert {*get_args(What)} == {STAGE, *MADE}

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import logging
 import os
@@ -58,12 +59,9 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until it is ended, or give out a token."""
-    try:
-        import fastapi  # noqa: F401
-        import sqlalchemy  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError as error:
-        raise InputError("facepipe serve", f"needs {error.name}: pip install 'facepipe[server]'") from None
+    for name in ("fastapi", "sqlalchemy", "uvicorn"):
+        if importlib.util.find_spec(name) is None:
+            raise InputError("facepipe serve", f"needs {name}: pip install 'facepipe[server]'")
     settings: Settings = options_from(arguments, Settings)
     if arguments.words[:1] == [_TOKEN]:
         return _token(arguments, settings)

@@ -21,6 +21,7 @@ from slider_faces import sample_with_sliders
 from small_sources import made
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 
 import facepipe
 
@@ -149,7 +150,7 @@ def test_sliders_move_points(shared_server: Served, tmp_path: Path) -> None:
 )
 def test_a_first_message_that_opens_nothing_ends_the_socket(shared_server: Served, first: str) -> None:
     url = f"{shared_server.url.replace('http', 'ws', 1).rstrip('/')}/api/v1/edit"
-    with connect(url, subprotocols=["facepipe.1"], proxy=None, open_timeout=PATIENCE) as page:  # type: ignore[list-item]
+    with connect(url, subprotocols=[Subprotocol("facepipe.1")], proxy=None, open_timeout=PATIENCE) as page:
         page.send(first)
         assert told(page)["error"]
         with pytest.raises(ConnectionClosed) as closed:

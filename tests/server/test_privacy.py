@@ -7,7 +7,6 @@ import secrets
 import sqlite3
 import time
 import zipfile
-from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -103,9 +102,9 @@ def test_no_consent_no_photo(served_once: Served, photo: bytes) -> None:
 
 
 @pytest.fixture
-def served_once(serve: Serve) -> Iterator[Served]:
+def served_once(serve: Serve) -> Served:
     """A server of a test's own."""
-    return serve("--processes", "1")  # type: ignore[return-value]
+    return serve("--processes", "1")
 
 
 def test_after_a_deletion_the_face_is_nowhere(served_once: Served, heads: list[Path]) -> None:

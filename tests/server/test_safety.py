@@ -104,10 +104,11 @@ def test_only_its_own_pages_are_answered(client: httpx.Client) -> None:
 def test_a_websocket_of_another_site_is_refused(client: httpx.Client) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
+    from websockets.typing import Origin, Subprotocol
 
     url = f"ws://{client.base_url.host}:{client.base_url.port}/api/v1/edit"
     with pytest.raises(InvalidStatus) as refused:
-        connect(url, origin="http://evil.example", subprotocols=["facepipe.1"])  # type: ignore[arg-type,list-item]
+        connect(url, origin=Origin("http://evil.example"), subprotocols=[Subprotocol("facepipe.1")])
     assert refused.value.response.status_code == 403
 
 

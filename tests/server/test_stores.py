@@ -7,7 +7,7 @@ import shutil
 import socket
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,11 @@ def test_files_in_s3_are_as_those_in_a_folder_and_leave_no_version(
     served = serve("--processes", "1", "--artefacts", f"s3://{BUCKET}/of/server")
     blend = library_of(served.client, heads)
     assert not (served.folder / "artefacts").exists()
-    listed: Callable[[], dict[str, Any]] = lambda: bucket.call_s3("list_object_versions", Bucket=BUCKET)  # noqa: E731
+
+    def listed() -> dict[str, Any]:
+        found: dict[str, Any] = bucket.call_s3("list_object_versions", Bucket=BUCKET)
+        return found
+
     before = {one["Key"] for one in listed()["Versions"]}
     assert any(blend in key for key in before)
     assert served.client.delete(f"/api/v1/faces/{blend}").status_code == 204
