@@ -8,17 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
-from shared_lids import with_shared_lids
 
 from facepipe import heads
 from facepipe.core.arrays import IntArray
 from facepipe.parts import FaceParts, Mesh
-from facepipe.rig import build
-from facepipe.verbs.lod.decimate import Surface, Wedges, mesh_of, wedges_of
-
-_TRIANGLES, _SKIN_SHARE = 6000, 0.6
+from facepipe.verbs.lod.decimate import Wedges, mesh_of, wedges_of
 
 
 def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
@@ -54,15 +51,15 @@ def _moving(mesh: Mesh) -> Mesh:
 
 @cache
 def _level() -> Sequence[tuple[Wedges, IntArray]]:
-    """Each mesh of the average head in wedges, and those of them (t, 3) that make the triangles that stay.
+    """Each mesh of the head in wedges, and those of them (t, 3) that make the triangles that stay.
 
-    Lids are decimated as all people would share them: those of one person differ in the last digits from machine to
-    machine, and other triangles follow.
+    small_head.npz holds them, 6,000 as `facepipe lod` left them of the average head, six tenths of them skin. They are
+    not decimated again: lips and lids are fitted, the last digits of fits differ from machine to machine and from one
+    version to the next, and other triangles follow.
     """
-    parts = with_shared_lids(heads.make(controls="bones"))
-    surface = Surface(parts, build(parts))
-    level = surface.level(_TRIANGLES, _SKIN_SHARE, surface.full)
-    wedges = [wedges_of(mesh) for mesh in parts.meshes]
+    with np.load(Path(__file__).with_suffix(".npz")) as stored:
+        level = stored["triangles"].astype(np.int64)
+    wedges = [wedges_of(mesh) for mesh in heads.make(controls="bones").meshes]
     starts = np.cumsum([0, *(len(wedge.points) for wedge in wedges)])
     mesh = np.searchsorted(starts, level[:, 0], side="right") - 1
     return [(one, level[mesh == i] - starts[i]) for i, one in enumerate(wedges)]

@@ -16,8 +16,8 @@ PARTS = 12
 
 
 def test_every_command_that_writes_is_killed() -> None:
-    """But for actions that are written as others are; tests/farm kills batches."""
-    killed = {name.split()[0] for name in LINES} - {"deliver", "save"} | {"batch"}  # those are functions
+    """But for actions that are written as others are; tests/farm kills batches, and tests/server servers."""
+    killed = {name.split()[0] for name in LINES} - {"deliver", "save"} | {"batch", "serve"}  # those are functions
     assert killed | READERS | plain_actions() == {*commands_of()}
     assert killed & plain_actions()
     assert not killed & READERS

@@ -23,6 +23,7 @@ OTHERS = {
     "completion",
     "demo",
     "batch",
+    "serve",
     "inspect",
     "validate",
     "eval",
