@@ -272,12 +272,12 @@ def _write(writer: BitWriter, steps: IntArray, around: list[int]) -> None:
     writer.bit(0, moving)
     if not moving:
         return
-    for own, near in zip(steps.tolist(), around, strict=True):
-        moves = any(own)
-        writer.bit(_MOVES + near, moves)
-        if not moves:
-            continue
-        before = 0
+    still, rows = 0, np.flatnonzero(steps.any(axis=1)).tolist()
+    moves = [_MOVES + near for near in around]
+    for row, own in zip(rows, steps[rows].tolist(), strict=True):
+        writer.zeros(moves[still:row])
+        writer.bit(moves[row], 1)
+        near, still, before = around[row], row + 1, 0
         for axis, value in enumerate(own):
             size = abs(value)
             if axis < 2 or before:  # the last one moves if none before it did
@@ -287,6 +287,7 @@ def _write(writer: BitWriter, steps: IntArray, around: list[int]) -> None:
             before = 1
             writer.number(value < 0, 1)
             writer.size(size, _STEPS + near, _AROUND)
+    writer.zeros(moves[still:])
 
 
 def _read(reader: BitReader, around: list[int]) -> IntArray:

@@ -61,6 +61,21 @@ class BitWriter:
         self._contexts.learn(context, bit)
         self._normalise()
 
+    def zeros(self, contexts: list[int]) -> None:
+        """Write a 0 of each context, as `bit` does: most points stay, and a call each would take four times as long."""
+        likely, shifts, span = self._contexts.likely, self._contexts.shifts, self._span
+        for context in contexts:
+            chance, shift = likely[context], shifts[context]
+            span = (span >> _BITS) * (chance >> (16 - _BITS) or 1)
+            likely[context] = chance + ((_ONE - 1 - chance) >> shift)
+            if shift < _SLOWEST:
+                shifts[context] = shift + 1
+            if span < _TOP:
+                self._span = span
+                self._normalise()
+                span = self._span
+        self._span = span
+
     def number(self, value: int, bits: int) -> None:
         """Write a number of some bits, all values alike."""
         for place in range(bits - 1, -1, -1):

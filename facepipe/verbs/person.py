@@ -28,6 +28,7 @@ from facepipe.kinds import FileAction, Job, action
 if TYPE_CHECKING:
     from facepipe.core.arrays import FloatArray
     from facepipe.parts import FaceParts
+    from facepipe.verbs.person_basis import Basis
     from facepipe.verbs.person_layers import PersonLayer
 
 _WITHIN_MM = 1.0
@@ -61,7 +62,7 @@ class PersonReport(Report):
     basis: str  # its name
     digest: str  # hexadecimal
     layers: tuple[Layer, ...]
-    mean_mm: float  # of the bytes as they were written, read back
+    mean_mm: float  # of what a reader makes of the bytes
     max_mm: float
     missed: bool = False  # --within is more than the payload keeps
 
@@ -166,16 +167,30 @@ def encoded_person(
     :param more: of `PersonContent`, what goes with the shape
     :raises InputError: a face without a basis, or fewer bytes than the person takes
     """
-    import numpy as np
-
-    from facepipe.payload.person import PersonContent, decode_person, encode_person
     from facepipe.rig import set_face
     from facepipe.verbs.person_basis import basis_of
-    from facepipe.verbs.person_layers import encode_points
     from facepipe.verbs.whole_faces import whole_points
 
     basis = basis_of(parts, where, template=template, database=database)
     points = whole_points(basis.known(set_face(parts).parts, where))
+    return encoded_whole(basis, points, where, within=within, most=most, more=more)
+
+
+def encoded_whole(
+    basis: Basis,
+    points: FloatArray,
+    where: str,
+    *,
+    within: float | None = None,
+    most: int | None = None,
+    more: Mapping[str, Any] = MappingProxyType({}),
+) -> tuple[bytes, PersonReport]:
+    """The payload of whole points (n, 3) of the basis's meshes, and its report, as `encoded_person` has them."""
+    import numpy as np
+
+    from facepipe.payload.person import PersonContent, decode_person, encode_person
+    from facepipe.verbs.person_layers import encode_points
+
     within = _WITHIN_MM if within is None and most is None else within
     nobody = PersonContent(basis=basis.digest, modes=np.zeros(0))
     beside = len(encode_person(replace(nobody, **more))) - len(encode_person(nobody))

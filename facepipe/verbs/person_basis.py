@@ -26,10 +26,12 @@ from facepipe.verbs.whole_faces import Topology, in_order, whole_points
 
 if TYPE_CHECKING:
     from facepipe.verbs.person_joints import JointFit
+    from facepipe.verbs.person_modes import ModeFit
 
 BASIS_SUFFIX = ".fpbasis"
 _STEP = 0.01  # millimetres of a database's modes, at least
 _MOST = 1e5  # millimetres from the origin: beyond it whole numbers of `PointLevels` don't hold squares
+_BLOCK = 4096  # numbers of a mode that are summed up at once
 _GRID = 1000  # places in a millimetre of the mean, where it is none of facepipe's own
 MOUTH = slice(11248, 13294)  # points of the built-in head: the mouth's inside, which modes don't fit
 
@@ -88,6 +90,13 @@ class Basis:
         return PointLevels(count=len(self.mean), first=self.content.coarsest, levels=self.content.levels)
 
     @cached_property
+    def mode_fit(self) -> ModeFit:
+        """What fits modes."""
+        from facepipe.verbs.person_modes import ModeFit
+
+        return ModeFit(self.mean, self.modes, self.fitted)
+
+    @cached_property
     def joint_fit(self) -> JointFit | None:
         """What fits identity joints, if there are any."""
         if self.joints is None:
@@ -138,7 +147,11 @@ class Basis:
     def shaped(self, weights: FloatArray) -> FloatArray:
         """(n, 3) points by weights of the first modes alone."""
         some = np.asarray(weights, np.float64)
-        return np.asarray(self.mean + np.tensordot(some, self.modes[: len(some)], axes=1))
+        rows, moves = self.modes[: len(some)].reshape(len(some), self.mean.size), np.empty(self.mean.size)
+        for first in range(0, len(moves), _BLOCK):  # all at once as float64 they leave the cache: three times as long
+            own = slice(first, first + _BLOCK)
+            moves[own] = some @ rows[:, own].astype(np.float64)
+        return np.asarray(self.mean + moves.reshape(self.mean.shape))
 
 
 def placed(placement: FloatArray, points: FloatArray, about: FloatArray) -> FloatArray:

@@ -37,10 +37,10 @@ class JointFit:
         whole = np.block([[blocks[0], across], [across.T, blocks[1]]]) + np.diag(self._ridge)
         self._both, self._alone = np.linalg.inv(whole), np.linalg.inv(blocks[0] + ridges[0] * np.eye(len(modes)))
 
-    def __call__(self, points: FloatArray, step: float) -> tuple[FloatArray, IntArray]:
-        """(k,) weights of the modes and (j, 9) steps of the joints, of a size in millimetres.
+    def nearest(self, points: FloatArray) -> FloatArray:
+        """(j, 9) coefficients of the joints that come nearest to points (n, 3) with the modes, in millimetres.
 
-        :param points: (n, 3) millimetres, where the mean is
+        :param points: where the mean is
         """
         count = len(self._modes)
         wanted = (points[self._rows] - self._mean).ravel()
@@ -49,9 +49,14 @@ class JointFit:
             left = wanted - found[:count] @ self._modes - self._moved(found[count:].reshape(-1, 9), 1.0)
             slope = np.concatenate([self._modes @ left, self._ways.T @ left]) - self._ridge * found
             found = found + self._both @ slope
-        ratio = found[count:].reshape(-1, 9) / step
+        return found[count:].reshape(-1, 9)
+
+    def rounded(self, points: FloatArray, found: FloatArray, step: float) -> tuple[FloatArray, IntArray]:
+        """(k,) weights of the modes, and (j, 9) steps of a size in millimetres, for what `nearest` found."""
+        ratio = found / step
         steps = (np.sign(ratio) * np.floor(np.abs(ratio) + 1.0 - _DEAD)).astype(np.int64)
         steps = np.clip(steps, -LARGEST_STEPS, LARGEST_STEPS)
+        wanted = (points[self._rows] - self._mean).ravel()
         return self._alone @ (self._modes @ (wanted - self._moved(steps, step))), steps
 
     def _moved(self, steps: FloatArray | IntArray, size: float) -> FloatArray:

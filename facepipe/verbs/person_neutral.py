@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.geometry.nearby_points import NearbyPoints
 from facepipe.heads.asset import asset
@@ -81,17 +81,38 @@ def settled(parts: FaceParts, changed: FaceParts, basis: Basis) -> FaceParts:
 
 def whole_with_others(parts: FaceParts, basis: Basis, points: FloatArray) -> FloatArray:
     """(n, 3) whole points of a face whose meshes of the basis are at `points`; the others go with these."""
-    before = whole_points(parts)
-    cuts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
-    rows = {mesh.name: slice(*map(int, cuts[i : i + 2])) for i, mesh in enumerate(parts.meshes)}
-    known = np.concatenate([np.arange(rows[name].start, rows[name].stop) for name in basis.topology.names])
-    others = np.setdiff1d(np.arange(len(before)), known)
-    whole = before.copy()
-    whole[known] = points
-    if len(others):
-        near = NearbyPoints.of(before[others], before[known], NEXT_MM)
-        whole[others] += near.carried(points - before[known])
+    before, beside = whole_points(parts), Beside.of(parts, basis)
+    whole = before + beside.of_all(points - before[beside.known])
+    whole[beside.known] = points
     return whole
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Whole points of a face: those of its basis's meshes, and others, which go with them."""
+
+    known: IntArray  # (m,) in the basis's order
+    others: IntArray
+    near: NearbyPoints | None  # of the known ones
+
+    @classmethod
+    def of(cls, parts: FaceParts, basis: Basis) -> Beside:
+        """As a face is authored."""
+        whole = whole_points(parts)
+        cuts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
+        rows = {mesh.name: np.arange(*cuts[i : i + 2]) for i, mesh in enumerate(parts.meshes)}
+        known = np.concatenate([rows[name] for name in basis.topology.names])
+        others = np.setdiff1d(np.arange(len(whole)), known)
+        near = NearbyPoints.of(whole[others], whole[known], NEXT_MM) if len(others) else None
+        return cls(known, others, near)
+
+    def of_all(self, moves: FloatArray) -> FloatArray:
+        """(n, 3) moves of all points, where those of the basis's meshes are (m, 3)."""
+        whole = np.zeros((len(self.known) + len(self.others), 3))
+        whole[self.known] = moves
+        if self.near is not None:
+            whole[self.others] = self.near.carried(moves)
+        return whole
 
 
 def head_person_basis(section: bytes = b"") -> PersonBasis:

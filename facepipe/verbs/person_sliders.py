@@ -12,7 +12,7 @@ from facepipe.heads.assembly import MODE, values_of
 from facepipe.heads.asset import IDENTITY_MODES
 from facepipe.parts import FaceParts, PersonBasis, Slider
 from facepipe.verbs.person_basis import head_basis
-from facepipe.verbs.person_layers import encode_points, nearest_modes
+from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.person_neutral import head_person_basis, mode_moves
 
 
@@ -48,7 +48,7 @@ def person_sliders(
     """
     basis, ranges = head_basis(), {slider.name: slider for slider in sliders}
     if weights is None:
-        weights = nearest_modes(basis, points)[:IDENTITY_MODES]
+        weights = basis.mode_fit.nearest(points)[:IDENTITY_MODES]
     values, kept = {}, np.zeros(IDENTITY_MODES)
     for name, value in values_of(np.asarray(weights, np.float64)).items():
         if name in ranges:

@@ -26,7 +26,6 @@ from facepipe.rig.joint_learning import learn_joints
 from facepipe.stage import save_parts
 from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 from facepipe.verbs.person_basis import head_basis, unplaced
-from facepipe.verbs.person_layers import modes_and_placement
 from facepipe.verbs.whole_faces import whole_points
 
 _COUNT, _INFLUENCES, _ROUNDS = 100, 8, 14
@@ -42,7 +41,7 @@ def main() -> None:
     skin = head.parts["Head"].points
     left = []
     for points in people():
-        weights, placement = modes_and_placement(basis, points)
+        weights, placement = basis.mode_fit.placed(points)
         own = points if placement is None else unplaced(placement, points)
         left.append((own - basis.shaped(weights))[skin])
         print(f"\r{len(left)} of {len(_BLENDS) + len(_WARPS)}", end="", file=sys.stderr)
