@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -93,7 +93,8 @@ class BoneFit:
         return self.fit_all([target], start)[0]
 
     def fit_all(self, targets: Sequence[FloatArray], start: FloatArray | None = None) -> list[Fitted]:
-        """The coefficients that bring the rig to (n, 3) world points: those that leave the smallest largest distance.
+        """The coefficients that bring the rig to (n, 3) world points: those that leave the smallest largest distance;
+        of plain least squares, without rounds of evening, the smallest sum of squares.
 
         Least squares from `start`, for all targets at once as far as that leads; where they end too far off after a
         long way, again by way of the points halfway between rest and target, which leads round most local minima; then
@@ -135,7 +136,9 @@ class BoneFit:
             fitted = self._solve(target, shared.coefficients if shared.slope < _NEAR else start, self.weights)
             if fitted.largest > self.threshold and fitted.steps > _STRAIGHT:
                 halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
-                fitted = _nearer(fitted, self._solve(target, halfway.coefficients, self.weights))
+                other = self._solve(target, halfway.coefficients, self.weights)
+                # of two optima least squares are asked for the lower one, though a point of it may be farther off
+                fitted = _nearer(fitted, other) if self.rounds else min(fitted, other, key=self._cost_of(target))
         # rounds in which points count the more the further they are off: the largest distance falls, the mean rises.
         # Lawson, "Contributions to the theory of linear least maximum approximation", 1961: weights times distances,
         # round by round; here their squares, which takes fewer rounds
@@ -149,6 +152,16 @@ class BoneFit:
             latest = self._solve(target, latest.coefficients, weights, settled=_ROUGH)
             fitted = _nearer(fitted, latest)
         return fitted
+
+    def _cost_of(self, target: FloatArray) -> Callable[[Fitted], float]:
+        """What least squares minimise."""
+        pull = self._pull(0.0)
+
+        def cost(fitted: Fitted) -> float:
+            apart = self.weights @ ((fitted.points - target) ** 2).sum(axis=1)
+            return float(apart + (0.0 if pull is None else (pull * (fitted.coefficients - self._rest) ** 2).sum()))
+
+        return cost
 
     def _sparse(self, target: FloatArray, start: FloatArray) -> Fitted:
         """Rounds of reweighted springs that add up to the mean absolute strain; then only what moves is fitted."""

@@ -11,10 +11,11 @@ from bone_rigs import MM, face_joints, head, jacobian, limits, parts, random_pos
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
+from small_head import make
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
-from facepipe.rig import Rig, coefficient_matrices, rest_coefficients
+from facepipe.rig import Rig, build, coefficient_matrices, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
 from facepipe.rig.rig import SkinWeights
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
@@ -454,3 +455,26 @@ def test_a_fit_that_ends_at_its_most_steps_says_so_and_others_end_at_an_optimum(
     )
     mine = 0.5 * float((off(fitted.coefficients.ravel()) ** 2).sum())
     assert mine <= lowest.cost * (1 + 1e-7)
+
+
+def test_of_two_optima_plain_least_squares_take_the_lower_one() -> None:
+    """Another person by bones with wide limits: the way by points halfway ends 6 % lower, and one point is farther off."""
+    whole = make()
+    rig, bounds = build(whole), whole.bone_limits
+    assert bounds is not None
+    free = bounds.lower < bounds.upper
+    lower = np.where(free, [-3.0] * 3 + [-1.2] * 3 + [0.4] * 3, bounds.lower)
+    upper = np.where(free, [3.0] * 3 + [1.2] * 3 + [2.0] * 3, bounds.upper)
+    target = build(make(5)).evaluate()
+    fit = BoneFit(rig, lower=lower, upper=upper, threshold=0.01, rounds=0, steps=60)
+
+    def left(found: np.ndarray) -> float:
+        return float(((found - target) ** 2).sum())
+
+    found = fit.fit_all([target])[0]
+    assert left(found.points) < 0.95 * left(rig.evaluate(coefficients=nearest(fit, target)))
+
+
+def nearest(fit: BoneFit, target: np.ndarray) -> np.ndarray:
+    """(m, 9) what steps straight from rest end at."""
+    return fit._solve(target, np.clip(fit._rest, fit.lower, fit.upper), fit.weights).coefficients
