@@ -458,7 +458,7 @@ def test_a_fit_that_ends_at_its_most_steps_says_so_and_others_end_at_an_optimum(
 
 
 def test_of_two_optima_plain_least_squares_take_the_lower_one() -> None:
-    """Another person by bones with wide limits: the way by points halfway ends 6 % lower, and one point is farther off."""
+    """Another person by bones with wide limits: the way by points halfway ends lower, with one point farther off."""
     whole = make()
     rig, bounds = build(whole), whole.bone_limits
     assert bounds is not None
