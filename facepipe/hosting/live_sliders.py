@@ -21,6 +21,7 @@ from facepipe.stage import Face, open_face
 from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 if TYPE_CHECKING:
+    from facepipe.payload.person_rig import PersonRig
     from facepipe.verbs.person_basis import Basis
     from facepipe.verbs.person_neutral import Beside
 
@@ -75,7 +76,7 @@ class LiveSliders:
         from facepipe.verbs.person import encoded_whole
 
         whole = self._points(self._checked(values)) @ self._to_whole[:3, :3].T + self._to_whole[:3, 3]
-        return encoded_whole(self._basis, whole[self._beside.known], self._where)[0]
+        return encoded_whole(self._basis, whole[self._beside.known], self._where, rig=self._own_rig)[0]
 
     def _points(self, values: Mapping[str, float]) -> FloatArray:
         """(n, 3) world points of the stage."""
@@ -117,6 +118,13 @@ class LiveSliders:
         from facepipe.verbs.person_basis import basis_of
 
         return basis_of(self.base, self._where)
+
+    @cached_property
+    def _own_rig(self) -> PersonRig | None:
+        from facepipe.verbs.person_basis import head_basis
+        from facepipe.verbs.person_rig import rig_of
+
+        return rig_of(self.base) if self._basis is head_basis() else None
 
     @cached_property
     def _beside(self) -> Beside:

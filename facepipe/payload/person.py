@@ -11,21 +11,22 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.payload.basis import DIGEST, MOST_PARTS
+from facepipe.payload.person_rig import HALF_TURN, LARGEST_GROWTH, LARGEST_STEPS, PersonRig, read_rig, rig_bytes
 from facepipe.payload.sections import Section, pack, unpack
 from facepipe.payload.small_numbers import decode_numbers, encode_numbers
 
 BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS = 1, 2, 3, 4, 5, 6, 7  # kinds
 LOOK, PICTURES, COEFFICIENTS = 9, 10, 11  # which readers may leave out
-_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS, LOOK, PICTURES, COEFFICIENTS)
+RIG = 12
+_KNOWN = (BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS, LOOK, PICTURES, COEFFICIENTS, RIG)
 _TURN = slice(3, 6)  # of a placement
 MOST_MODES = 4096
 MOST_PICTURES = 16
-_LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, 3.0])  # millimetres, quaternion, logarithm of the scale
+_LARGEST = np.array([1e4, 1e4, 1e4, 1, 1, 1, LARGEST_GROWTH])  # millimetres, quaternion, logarithm of the scale
 LARGEST_WEIGHT = 100.0  # standard deviations
-LARGEST_STEPS = 127  # of a coefficient of an identity joint
 LARGEST_STEP = 10.0  # millimetres
 _JOINTS_HEAD = struct.Struct("<eB")  # step in millimetres, joints
-_ROUNDED = 1.002  # square of a half turn's axis in float16, at most
+_CHANNELS = 9  # of an identity joint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,7 @@ class PersonContent:
     points: bytes = b""  # of `PointLevels`
     joints: IntArray = field(default_factory=lambda: np.zeros((0, 9), np.int64))  # (j, 9) steps of identity joints
     step: float = 0.0  # float16, millimetres: of `joints`
+    rig: PersonRig | None = None  # None: joints and shapes are as points and basis have them
     look: bytes = b""  # of the head's, as `facepipe.heads.look_code` has it
     pictures: tuple[tuple[str, bytes], ...] = ()  # material, and WebP of its colours
     coefficients: bytes = b""  # a payload of bone coefficients, on top of the person
@@ -78,6 +80,8 @@ def encode_person(content: PersonContent) -> bytes:
         sections.append(Section(PICTURES, b"".join(rows), required=False))
     if content.coefficients:
         sections.append(Section(COEFFICIENTS, content.coefficients, required=False))
+    if content.rig is not None:
+        sections.append(Section(RIG, rig_bytes(content.rig, f"{where} -> rig")))
     return pack(sections)
 
 
@@ -115,6 +119,7 @@ def decode_person(data: bytes, where: object) -> PersonContent:
         points=_data(found, POINTS),
         joints=joints,
         step=step,
+        rig=read_rig(found[RIG].data, f"{where} -> rig") if RIG in found else None,
         look=_data(found, LOOK),
         pictures=_pictures(_data(found, PICTURES), f"{where} -> pictures"),
         coefficients=_data(found, COEFFICIENTS),
@@ -156,7 +161,7 @@ def _joints(section: Section | None, where: str) -> tuple[float, IntArray]:
     step, count = _JOINTS_HEAD.unpack_from(section.data)
     if not count:
         raise InputError(where, "no joints, expected at least one")
-    numbers = decode_numbers(section.data[_JOINTS_HEAD.size :], count, where)
+    numbers = decode_numbers(section.data[_JOINTS_HEAD.size :], count, _CHANNELS, where)
     return _checked_joints(step, numbers, where)
 
 
@@ -192,7 +197,7 @@ def _checked_modes(modes: FloatArray, where: object) -> FloatArray:
 def _checked_moves(moves: FloatArray, where: object) -> FloatArray:
     with np.errstate(invalid="ignore"):  # casts of NaN
         values = np.asarray(moves, np.float64)
-    sound = (np.abs(values) <= _LARGEST).all(axis=1) & ((values[:, _TURN] ** 2).sum(axis=1) <= _ROUNDED)
+    sound = (np.abs(values) <= _LARGEST).all(axis=1) & ((values[:, _TURN] ** 2).sum(axis=1) <= HALF_TURN)
     if not sound.all():
         (row, *_) = np.flatnonzero(~sound)
         numbers = " ".join(f"{value:g}" for value in values[row])

@@ -7,13 +7,12 @@ import numpy as np
 from facepipe.core.arrays import IntArray
 from facepipe.payload.range_coder import KINDS_OF_SIZES, BitReader, BitWriter
 
-_CHANNELS = 9  # a joint: three of each kind
 _EACH = 1 + KINDS_OF_SIZES  # contexts of a kind: whether it is 0, then how large it is
 _CONTEXTS = 3 * _EACH
 
 
 def encode_numbers(numbers: IntArray) -> bytes:
-    """The bytes of (j, 9) numbers."""
+    """The bytes of (j, c) numbers, three channels of each kind."""
     writer = BitWriter(_CONTEXTS)
     for row in numbers.tolist():
         for channel, value in enumerate(row):
@@ -25,14 +24,14 @@ def encode_numbers(numbers: IntArray) -> bytes:
     return writer.bytes()
 
 
-def decode_numbers(data: bytes, joints: int, where: object) -> IntArray:
-    """The (j, 9) numbers of bytes.
+def decode_numbers(data: bytes, joints: int, channels: int, where: object) -> IntArray:
+    """The (j, c) numbers of bytes.
 
     :raises InputError: bytes that end before the numbers do
     """
-    reader, numbers = BitReader(data, _CONTEXTS, where), np.zeros((joints, _CHANNELS), np.int64)
+    reader, numbers = BitReader(data, _CONTEXTS, where), np.zeros((joints, channels), np.int64)
     for row in numbers:
-        for channel in range(_CHANNELS):
+        for channel in range(channels):
             context = channel // 3 * _EACH
             if reader.bit(context):
                 negative = reader.number(1)

@@ -129,7 +129,7 @@ class ApplyCoefficients(StageAction[ApplyBonesReport]):
         if self.as_section:
             authored = keep_person(face, content, basis, recipe=recipe)
         else:
-            authored, warnings = apply_person(face, points, basis, recipe=recipe)
+            authored, warnings = apply_person(face, points, basis, basis.rig_change(content), recipe=recipe)
         left_out = [*self.left_out_lines(content), *self._dress(face, content)]
         moved: ApplyBonesReport | None = None
         if content.coefficients:

@@ -15,6 +15,7 @@ from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.person_basis import Basis, database_basis, head_basis, is_head, template_basis
 from facepipe.verbs.person_neutral import head_person_basis, settled, whole_with_others
+from facepipe.verbs.person_rig import RigChange
 
 
 def basis_for(content: PersonContent, parts: FaceParts, where: object, name: str, database: Path | None) -> Basis:
@@ -36,7 +37,7 @@ def basis_for(content: PersonContent, parts: FaceParts, where: object, name: str
 
 
 def apply_person(
-    face: Face, points: FloatArray, basis: Basis, *, recipe: Recipe | None = None
+    face: Face, points: FloatArray, basis: Basis, rig: RigChange | None = None, *, recipe: Recipe | None = None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Put a person's points into the neutral of a face: what was authored, and warnings.
 
@@ -44,10 +45,11 @@ def apply_person(
     and poses that made the face somebody are at rest again: they were of whom it was before.
 
     :param points: (n, 3) millimetres, of the basis
+    :param rig: of joints and shapes; None: as drawn people have them
     """
     parts = face.parts()
     whole = whole_with_others(parts, basis, points)
-    report = AuthorNeutral(settled=partial(_at_rest, parts, basis))(face, whole, recipe=recipe or parts.recipe)
+    report = AuthorNeutral(settled=partial(_at_rest, parts, basis, rig))(face, whole, recipe=recipe or parts.recipe)
     return report.authored, report.warnings
 
 
@@ -68,6 +70,6 @@ def keep_person(face: Face, content: PersonContent, basis: Basis, *, recipe: Rec
     )
 
 
-def _at_rest(parts: FaceParts, basis: Basis, changed: FaceParts) -> FaceParts:
+def _at_rest(parts: FaceParts, basis: Basis, rig: RigChange | None, changed: FaceParts) -> FaceParts:
     sliders = tuple(replace(slider, value=None) for slider in changed.sliders)
-    return replace(settled(parts, changed, basis), sliders=sliders, person=None)
+    return replace(settled(parts, changed, basis, rig), sliders=sliders, person=None)

@@ -28,10 +28,12 @@ from facepipe.kinds import FileAction, Job, action
 if TYPE_CHECKING:
     from facepipe.core.arrays import FloatArray
     from facepipe.parts import FaceParts
+    from facepipe.payload.person_rig import PersonRig
     from facepipe.verbs.person_basis import Basis
     from facepipe.verbs.person_layers import PersonLayer
 
 _WITHIN_MM = 1.0
+_RIG_SHARE = 0.03  # of --bytes that the rig may take: points are worth more of few
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,12 +170,14 @@ def encoded_person(
     :raises InputError: a face without a basis, or fewer bytes than the person takes
     """
     from facepipe.rig import set_face
-    from facepipe.verbs.person_basis import basis_of
+    from facepipe.verbs.person_basis import basis_of, head_basis
+    from facepipe.verbs.person_rig import rig_of
     from facepipe.verbs.whole_faces import whole_points
 
     basis = basis_of(parts, where, template=template, database=database)
     points = whole_points(basis.known(set_face(parts).parts, where))
-    return encoded_whole(basis, points, where, within=within, most=most, more=more)
+    rig = rig_of(parts) if basis is head_basis() else None
+    return encoded_whole(basis, points, where, rig=rig, within=within, most=most, more=more)
 
 
 def encoded_whole(
@@ -181,11 +185,15 @@ def encoded_whole(
     points: FloatArray,
     where: str,
     *,
+    rig: PersonRig | None,
     within: float | None = None,
     most: int | None = None,
     more: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[bytes, PersonReport]:
-    """The payload of whole points (n, 3) of the basis's meshes, and its report, as `encoded_person` has them."""
+    """The payload of whole points (n, 3) of the basis's meshes, and its report, as `encoded_person` has them.
+
+    :param rig: how the face's joints rest and shapes go
+    """
     import numpy as np
 
     from facepipe.payload.person import PersonContent, decode_person, encode_person
@@ -193,7 +201,13 @@ def encoded_whole(
 
     within = _WITHIN_MM if within is None and most is None else within
     nobody = PersonContent(basis=basis.digest, modes=np.zeros(0))
-    beside = len(encode_person(replace(nobody, **more))) - len(encode_person(nobody))
+
+    def size(**sections: Any) -> int:
+        return len(encode_person(replace(nobody, **sections))) - len(encode_person(nobody))
+
+    if rig is not None and (most is None or size(rig=rig) <= _RIG_SHARE * most):
+        more = {**more, "rig": rig}
+    beside = size(**more)
     spare = None if most is None else most - beside
     data, layers = encode_points(basis, points, within=within, most=spare)
     if more:
@@ -202,6 +216,8 @@ def encoded_whole(
         raise InputError("--bytes", f"{most}, expected at least the {len(data)} that this person takes")
     told = tuple(Layer.of(one, points) for one in layers)
     last = told[-1]
+    if "rig" in more:
+        told += (replace(last, name="rig", bytes=last.bytes + size(rig=more["rig"])),)
     missed = within is not None and last.max_mm > within
     report = PersonReport(
         bytes=len(data),

@@ -27,6 +27,7 @@ from facepipe.verbs.whole_faces import Topology, in_order, whole_points
 if TYPE_CHECKING:
     from facepipe.verbs.person_joints import JointFit
     from facepipe.verbs.person_modes import ModeFit
+    from facepipe.verbs.person_rig import RigChange
 
 BASIS_SUFFIX = ".fpbasis"
 _STEP = 0.01  # millimetres of a database's modes, at least
@@ -125,6 +126,9 @@ class Basis:
         count = 0 if self.joints is None else len(self.joints.places)
         if len(content.joints) > count:
             raise InputError(where, f"{len(content.joints)} joints, expected at most the {count} of its basis")
+        rests, count = 0 if content.rig is None else len(content.rig.steps), len(self.content.joints)
+        if rests > count:
+            raise InputError(f"{where} -> rig", f"{rests} joints, expected at most the {count} of its basis")
 
     def rebuilt(self, content: PersonContent, where: object) -> FloatArray:
         """(n, 3) points of a person.
@@ -143,6 +147,12 @@ class Basis:
         if content.points:
             points += self.levels.decode(content.points, f"{where} -> points")
         return points
+
+    def rig_change(self, content: PersonContent) -> RigChange:
+        """How joints rest and shapes go of a person whom `check` passed."""
+        from facepipe.verbs.person_rig import RigChange
+
+        return RigChange.of(content.rig, len(self.content.joints))
 
     def shaped(self, weights: FloatArray) -> FloatArray:
         """(n, 3) points by weights of the first modes alone."""
@@ -225,6 +235,12 @@ def is_head(parts: FaceParts, where: str) -> bool:
     except TopologyError:
         return False
     return True
+
+
+def in_centimetres(parts: FaceParts) -> bool:
+    """Whether the built-in head is as it was made, which its lids and cards are fitted as."""
+    names = [mesh.name for mesh in parts.meshes[: len(asset().parts)]]
+    return names == list(asset().parts) and (parts.meters_per_unit, parts.up_axis) == (0.01, "Y")
 
 
 def _plain(name: str, topology: Topology, mean: FloatArray, modes: FloatArray) -> Basis:

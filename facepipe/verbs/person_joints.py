@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.payload.person import LARGEST_STEPS
+from facepipe.payload.person_rig import LARGEST_STEPS
 from facepipe.rig.identity_joints import IdentityJoints, coefficients_of_steps
 
 _RIDGES = (1e-5, 1e-3)  # of modes and of channels of joints, of what one moves on average

@@ -16,7 +16,8 @@ from facepipe.parts import FaceParts, PersonBasis
 from facepipe.payload.person import decode_person
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.blend.rigs import rebase_animations
-from facepipe.verbs.person_basis import Basis, head_basis, is_head
+from facepipe.verbs.person_basis import Basis, head_basis, in_centimetres, is_head
+from facepipe.verbs.person_rig import RigChange, own_rests
 from facepipe.verbs.whole_faces import NEXT_MM, whole_points
 
 
@@ -25,15 +26,17 @@ def with_section(parts: FaceParts, where: str) -> FaceParts:
     basis = _known_basis(parts, where)
     section = b"" if parts.person_basis is None else parts.person_basis.section
     trail = f"{where}.{tokens.PERSON_SECTION}"
-    points = basis.rebuilt(decode_person(section, trail), trail)
-    return with_neutral(parts, basis, points)
+    content = decode_person(section, trail)
+    return with_neutral(parts, basis, basis.rebuilt(content, trail), basis.rig_change(content))
 
 
 def with_modes(parts: FaceParts, weights: Mapping[int, float]) -> FaceParts:
     """As `facepipe.rig.identity.Neutrals` says."""
     basis = _known_basis(parts, parts.name)
     points = whole_points(basis.known(parts, parts.name)) + mode_moves(basis, weights, parts.name)
-    return with_neutral(parts, basis, points)
+    rests = own_rests(parts) if in_centimetres(parts) else None
+    rig = None if rests is None else RigChange(rests=rests, shapes=np.eye(3))
+    return with_neutral(parts, basis, points, rig)
 
 
 def mode_moves(basis: Basis, weights: Mapping[int, float], where: object) -> FloatArray:
@@ -54,18 +57,20 @@ def mode_moves(basis: Basis, weights: Mapping[int, float], where: object) -> Flo
     return np.asarray(moves)
 
 
-def with_neutral(parts: FaceParts, basis: Basis, points: FloatArray) -> FaceParts:
+def with_neutral(parts: FaceParts, basis: Basis, points: FloatArray, rig: RigChange | None = None) -> FaceParts:
     """The face with points (n, 3) of the basis, millimetres, in place of its own.
 
     Joints, lids, and cards of the built-in head go with the skin, other meshes with the points nearest to them.
+
+    :param rig: of joints and shapes of the built-in head; None: as drawn people have them
     """
     changed = AuthorNeutral().changed(parts, whole_with_others(parts, basis, points))
-    return settled(parts, replace(changed, photos=parts.photos), basis)
+    return settled(parts, replace(changed, photos=parts.photos), basis, rig)
 
 
-def settled(parts: FaceParts, changed: FaceParts, basis: Basis) -> FaceParts:
-    """A face with new points, whose joints, lids and cards go with them."""
-    if basis is not head_basis() or not _in_centimetres(parts):
+def settled(parts: FaceParts, changed: FaceParts, basis: Basis, rig: RigChange | None = None) -> FaceParts:
+    """A face with new points, whose joints, shapes, lids and cards go with them."""
+    if basis is not head_basis() or not in_centimetres(parts):
         return changed
     from facepipe.heads import assembly
 
@@ -73,10 +78,11 @@ def settled(parts: FaceParts, changed: FaceParts, basis: Basis) -> FaceParts:
         # where a drawn person's are, and not where the template's were carried: up to 8 mm apart, 1.4 of a pose
         body = np.concatenate([mesh.points for mesh in changed.meshes[: len(asset().parts)]])
         own = assembly.skeleton(body)
+        own = own if rig is None else rig.skeleton(own)
         joints = replace(parts.skeleton, bind_transforms=own.bind_transforms, rest_transforms=own.rest_transforms)
         animations = rebase_animations(parts.animations, parts.skeleton, joints)
         changed = replace(changed, skeleton=joints, animations=animations)
-    return assembly.settled(parts, changed)
+    return assembly.settled(parts, changed if rig is None else rig.turned(changed))
 
 
 def whole_with_others(parts: FaceParts, basis: Basis, points: FloatArray) -> FloatArray:
@@ -133,9 +139,3 @@ def _known_basis(parts: FaceParts, where: str) -> Basis:
     if not is_head(parts, where):
         raise SchemaError(where, f"a person relative to {basis.name}, expected its meshes")
     return basis
-
-
-def _in_centimetres(parts: FaceParts) -> bool:
-    """Whether the built-in head is as it was made, which its lids and cards are fitted as."""
-    names = [mesh.name for mesh in parts.meshes[: len(asset().parts)]]
-    return names == list(asset().parts) and (parts.meters_per_unit, parts.up_axis) == (0.01, "Y")

@@ -155,7 +155,7 @@ def test_small_numbers_come_back() -> None:
         random = np.random.default_rng(seed)
         numbers = np.rint(random.laplace(0, random.choice([0.3, 2.0, 40.0]), (random.integers(1, 255), 9)))
         numbers = np.clip(numbers, -127, 127).astype(np.int64)
-        np.testing.assert_array_equal(decode_numbers(encode_numbers(numbers), len(numbers), "x"), numbers)
+        np.testing.assert_array_equal(decode_numbers(encode_numbers(numbers), len(numbers), 9, "x"), numbers)
 
 
 def test_a_head_that_stands_elsewhere_takes_a_placement_not_points() -> None:
