@@ -43,7 +43,8 @@ constexpr int kWhole = 64;                // shares of neighbours are so many-th
 constexpr double kLargestWeight = 100.0;  // standard deviations
 constexpr double kLargestMove = 1e4;      // millimetres
 constexpr double kLargestStep = 10.0;     // millimetres, of identity joints
-constexpr int kLargestSteps = 127;        // of each of their numbers
+constexpr int kLargestSteps = 127;        // of each of a joint's numbers
+constexpr double kLargestTurn = 0.1;      // radians of a step, of how joints rest
 constexpr double kLever = 16.0;           // millimetres: a radian or a factor of theirs counts as that far
 constexpr float kFarthest = 1e5f;         // millimetres, of their places
 constexpr int kFull = 255;                // of a point's weights, in sum
@@ -140,13 +141,17 @@ struct Person {
   Bytes points;                  // offsets by levels
   std::vector<int> joints;       // nine numbers of each of the first identity joints, in steps
   double joint_step = 0;         // millimetres
+  Placement shapes{};            // offsets of shapes turn and grow by it
+  std::vector<double> rests;     // nine coefficients of each of the first joints: to its rest, in millimetres
   Bytes coefficients;            // bone coefficients on top, for read_poses
   std::vector<int> skipped;      // kinds of sections that are there and were left out
 };
 
 struct Rebuilt {
   std::vector<double> points;  // x y z of point after point, of all meshes
-  std::vector<double> joints;  // x y z of each joint: inverse binds are translations by the negative of it
+  std::vector<double> joints;  // x y z of each joint at rest
+  std::vector<double> turns;   // nine numbers of each: rows of its rotation; an inverse bind is the inverse of both
+  std::vector<double> shapes;  // nine numbers: rows of what offsets of shapes are multiplied by, but those of lids
 };
 
 // A shape of a person at a weight, 1 the last, others inbetweens.
@@ -966,6 +971,14 @@ inline Matrix turned(double x, double y, double z, double w) {
           2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y), 0};
 }
 
+// The inverse of a turn and a move.
+inline Matrix turned_back(const Matrix& m) {
+  Matrix back{m[0], m[4], m[8], 0, m[1], m[5], m[9], 0, m[2], m[6], m[10], 0};
+  for (std::size_t i = 0; i < 12; i += 4)
+    back[i + 3] = -(back[i] * m[3] + back[i + 1] * m[7] + back[i + 2] * m[11]);
+  return back;
+}
+
 // M = T Rz Rx Ry S of nine coefficients.
 inline Matrix posed(const double* c) {
   const auto about = [](int axis, double angle) {
@@ -1000,6 +1013,16 @@ class Similarity {
   double about_[3];
 };
 
+inline bool is_sound(const Placement& one) {
+  double squares = 0;
+  bool sound = std::abs(one.growth) <= kLargestGrowth;
+  for (int i = 0; i < 3; ++i) {
+    squares += one.turn[i] * one.turn[i];
+    sound = sound && std::abs(one.move[i]) <= kLargestMove && std::abs(one.turn[i]) <= 1;
+  }
+  return sound && squares <= kRoundedTurn;
+}
+
 inline std::vector<Placement> placements(const Section& section, bool half, bool turned, std::size_t most,
                                          const std::string& where) {
   const std::size_t width = half ? 2 : 4, each = turned ? 7 : 4, count = section.size / (width * each);
@@ -1010,19 +1033,30 @@ inline std::vector<Placement> placements(const Section& section, bool half, bool
     double values[7] = {};
     for (std::size_t i = 0; i < each; ++i, next += width)
       values[turned || i < 3 ? i : 6] = half ? float16(next) : float32(next);
-    double squares = 0;
     for (int i = 0; i < 3; ++i) {
       one.move[i] = values[i];
       one.turn[i] = values[3 + i];
-      squares += one.turn[i] * one.turn[i];
-      if (!(std::abs(one.move[i]) <= kLargestMove && std::abs(one.turn[i]) <= 1))
-        throw Error(where, "a move or a turn beyond limits");
     }
     one.growth = values[6];
-    if (!(std::abs(one.growth) <= kLargestGrowth && squares <= kRoundedTurn))
-      throw Error(where, "expected a move, part of a quaternion, a scale");
+    if (!is_sound(one)) throw Error(where, "expected a move, part of a quaternion, a scale");
   }
   return found;
+}
+
+// Whole numbers of joints, three channels of each kind.
+inline std::vector<int> joint_numbers(const std::uint8_t* data, std::size_t size, std::size_t joints,
+                                      std::size_t channels, const std::string& where) {
+  BitReader bits(data, size, 3 * 7, where);
+  std::vector<int> numbers(channels * joints);
+  for (std::size_t i = 0; i < numbers.size(); ++i) {
+    const std::size_t context = i % channels / 3 * 7;
+    if (!bits.bit(context)) continue;
+    const bool negative = bits.number(1);
+    const int count = bits.size(context + 1, 1);
+    if (count > kLargestSteps) throw Error(where, "more than 127 steps, expected fewer");
+    numbers[i] = negative ? -count : count;
+  }
+  return numbers;
 }
 
 inline void read_identity(const Section& section, Person& person, const std::string& where) {
@@ -1031,15 +1065,25 @@ inline void read_identity(const Section& section, Person& person, const std::str
   const std::size_t count = reader.byte();
   if (!(person.joint_step > 0 && person.joint_step <= kLargestStep) || !count)
     reader.wrong("expected joints in steps of more than 0 and at most 10 mm");
-  BitReader bits(section.data + 3, section.size - 3, 3 * 7, where);
-  person.joints.resize(9 * count);
-  for (std::size_t i = 0; i < person.joints.size(); ++i) {
-    const std::size_t context = i % 9 / 3 * 7;
-    if (!bits.bit(context)) continue;
-    const bool negative = bits.number(1);
-    const int size = bits.size(context + 1, 1);
-    if (size > kLargestSteps) reader.wrong("more than 127 steps, expected fewer");
-    person.joints[i] = negative ? -size : size;
+  person.joints = joint_numbers(section.data + 3, section.size - 3, count, 9, where);
+}
+
+// How joints rest and shapes go, against what points and basis give.
+inline void read_rig(const Section& section, Person& person, const std::string& where) {
+  Reader reader(section.data, section.size, where);
+  const std::uint8_t* head = reader.take(12);
+  for (int i = 0; i < 3; ++i) person.shapes.turn[i] = float16(head + 2 * i);
+  person.shapes.growth = float16(head + 6);
+  const double move = float16(head + 8), turn = float16(head + 10);
+  if (!is_sound(person.shapes) || !(move > 0 && move <= kLargestStep && turn > 0 && turn <= kLargestTurn))
+    reader.wrong("expected part of a quaternion, a scale, and steps above 0, at most 10 mm and 0.1 radians");
+  const std::size_t count = reader.byte();
+  const std::vector<int> steps = joint_numbers(section.data + 13, section.size - 13, count, 6, where);
+  int turned[3] = {};  // turns are less that of the joint before
+  for (std::size_t j = 0; j < count; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) person.rests.push_back(move * steps[6 * j + k]);
+    for (std::size_t k = 0; k < 3; ++k) person.rests.push_back(turn * (turned[k] += steps[6 * j + 3 + k]));
+    person.rests.insert(person.rests.end(), 3, 1.0);
   }
 }
 
@@ -1128,6 +1172,8 @@ inline Person read_person(const Bytes& file, const std::string& where) {
       person.points.assign(one.data, one.data + one.size);
     } else if (one.kind == 7) {
       read_identity(one, person, where + " -> joints");
+    } else if (one.kind == 12) {
+      read_rig(one, person, where + " -> rig");
     } else if (one.required) {
       throw Error(where, "section of kind " + std::to_string(one.kind) + ", which this reader does not know");
     } else {
@@ -1180,6 +1226,7 @@ inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::stri
   if (!person.parts.empty() && person.parts.size() != basis.parts.size())
     throw Error(where, "not the parts of its basis");
   if (person.joints.size() > 9 * basis.identity.count()) throw Error(where, "more joints than its basis has");
+  if (person.rests.size() > 9 * basis.joints.size()) throw Error(where, "more joints at rest than its basis has");
   std::vector<double> points = shaped(basis, person.modes), mean = basis.mean;
   if (!person.joints.empty()) detail::add_joints(basis, person, points);
   const double origin[3] = {};
@@ -1209,8 +1256,24 @@ inline Rebuilt rebuild(const Basis& basis, const Person& person, const std::stri
     const std::vector<double>& all = offsets.all();
     for (std::size_t i = 0; i < points.size(); ++i) points[i] += all[i];
   }
-  std::vector<double> joints = joint_places(basis, points);
-  return {std::move(points), std::move(joints)};
+  Rebuilt made{std::move(points), {}, {}, std::vector<double>(9)};
+  made.joints = joint_places(basis, made.points);
+  for (std::size_t j = 0; j < basis.joints.size(); ++j) {
+    constexpr double kRest[9] = {0, 0, 0, 0, 0, 0, 1, 1, 1};
+    const detail::Matrix way = detail::posed(9 * j < person.rests.size() ? &person.rests[9 * j] : kRest);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      made.joints[3 * j + axis] += way[4 * axis + 3];
+      made.turns.insert(made.turns.end(), &way[4 * axis], &way[4 * axis] + 3);
+    }
+  }
+  const detail::Similarity way(person.shapes, origin);
+  for (std::size_t k = 0; k < 3; ++k) {
+    double axis[3] = {}, to[3];
+    axis[k] = 1;
+    way.apply(axis, to);
+    for (std::size_t i = 0; i < 3; ++i) made.shapes[3 * i + k] = to[i];
+  }
+  return made;
 }
 
 namespace detail {

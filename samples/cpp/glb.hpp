@@ -6,6 +6,7 @@
 
 #include <cstdlib>
 #include <map>
+#include <set>
 
 #include "facepipe.hpp"
 
@@ -548,7 +549,23 @@ inline void put_lids_on(Head& head, const Basis& basis, const std::vector<LidSha
   }
 }
 
-// Put a person on a head: positions, where joints stand, and lids that fit the eyeballs. Returns names of meshes that
+// Turn all shapes as a person's, but blinks, looks and squints, which `put_lids_on` fits.
+inline void turn_shapes(Head& head, const std::vector<double>& rows, const std::vector<LidShape>& lids) {
+  std::set<std::string> fitted;
+  for (const LidShape& shape : lids) fitted.insert(shape.name);
+  for (Primitive& primitive : head.primitives)
+    for (std::size_t t = 0; t < primitive.targets.size(); ++t) {
+      if (fitted.count(head.meshes[primitive.mesh].targets[t].shape)) continue;
+      std::vector<float>& offsets = primitive.targets[t];
+      for (std::size_t i = 0; i < offsets.size(); i += 3) {
+        const double x = offsets[i], y = offsets[i + 1], z = offsets[i + 2];
+        for (std::size_t k = 0; k < 3; ++k)
+          offsets[i + k] = static_cast<float>(rows[3 * k] * x + rows[3 * k + 1] * y + rows[3 * k + 2] * z);
+      }
+    }
+}
+
+// Put a person on a head: positions, how joints rest, shapes, and lids that fit the eyeballs. Returns names of meshes that
 // stay as they are, since the file does not say what they go with.
 inline std::vector<std::string> put_on(Head& head, const Basis& basis, const Rebuilt& person,
                                        const std::string& where) {
@@ -589,17 +606,22 @@ inline std::vector<std::string> put_on(Head& head, const Basis& basis, const Reb
     if (!basis.joints.empty() && !places.count(joint.path))
       throw Error(where, "joint " + joint.path + ", which the basis has not");
     if (basis.joints.empty()) continue;
-    double own[3], above[3] = {}, back[3];
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      own[axis] = person.joints[3 * places[joint.path] + axis] / 1000;
-      if (joint.parent >= 0) above[axis] = person.joints[3 * places[head.joints[joint.parent].path] + axis] / 1000;
-      back[axis] = -own[axis];
-      own[axis] -= above[axis];
-    }
-    joint.rest = detail::moved(own);
-    joint.inverse_bind = detail::moved(back);
+    const auto world = [&](const HeadJoint& one) {
+      const std::size_t number = places[one.path];
+      detail::Matrix made;
+      for (std::size_t row = 0; row < 3; ++row) {
+        std::copy_n(&person.turns[9 * number + 3 * row], 3, &made[4 * row]);
+        made[4 * row + 3] = person.joints[3 * number + row] / 1000;
+      }
+      return made;
+    };
+    joint.rest = world(joint);
+    joint.inverse_bind = detail::turned_back(joint.rest);
+    if (joint.parent >= 0) joint.rest = detail::turned_back(world(head.joints[joint.parent])) * joint.rest;
   }
-  put_lids_on(head, basis, fitted_lids(basis, person, where));
+  const std::vector<LidShape> lids = fitted_lids(basis, person, where);
+  if (person.shapes != std::vector<double>{1, 0, 0, 0, 1, 0, 0, 0, 1}) turn_shapes(head, person.shapes, lids);
+  put_lids_on(head, basis, lids);
   return left;
 }
 

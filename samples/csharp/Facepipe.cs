@@ -104,7 +104,9 @@ namespace Facepipe
     public sealed class Rebuilt
     {
         public double[] Points; // x y z of point after point, of all meshes
-        public double[] Joints; // x y z of each joint: inverse binds are translations by the negative of it
+        public double[] Joints; // x y z of each joint at rest
+        public double[] Turns; // nine numbers of each: rows of its rotation; an inverse bind is the inverse of both
+        public double[] Shapes; // nine numbers: rows of what offsets of shapes are multiplied by, but those of lids
     }
 
     /// <summary>Where a whole or a part lies.</summary>
@@ -112,6 +114,21 @@ namespace Facepipe
     {
         public readonly double[] Move = new double[3], Turn = new double[3];
         public double Growth; // logarithm of the scale
+
+        internal bool IsSound
+        {
+            get
+            {
+                double squares = 0;
+                bool sound = Math.Abs(Growth) <= Limits.Growth;
+                for (int i = 0; i < 3; i++)
+                {
+                    squares += Turn[i] * Turn[i];
+                    sound = sound && Math.Abs(Move[i]) <= Limits.Move && Math.Abs(Turn[i]) <= 1;
+                }
+                return sound && squares <= Limits.Turn;
+            }
+        }
     }
 
     static class Limits
@@ -119,8 +136,9 @@ namespace Facepipe
         public const int Body = 1 << 28, Points = 1 << 20, Grid = 1000000; // bytes, points, places in a millimetre
         public const int Sections = 64, Modes = 4096, Parts = 16, Whole = 64;
         public const int Rings = 13, Margin = 4, Ways = 7; // of lids, the margin's last, shapes and one at a half
-        public const int Steps = 127, Full = 255; // of a number of identity joints, and of a point's weights in sum
+        public const int Steps = 127, Full = 255; // of a number of joints, and of a point's weights in sum
         public const double Step = 10, Farthest = 1e5; // millimetres, of identity joints
+        public const double Angle = 0.1; // radians of a step, of how joints rest
         public const double Weight = 100, Move = 1e4, Growth = 3, Turn = 1.002; // half turns round in float16
     }
 
@@ -563,6 +581,8 @@ namespace Facepipe
                 throw new FacepipeException(where, "not the parts of its basis");
             if (person.Joints.Length > 9 * IdentityJoints.Count)
                 throw new FacepipeException(where, "more joints than its basis has");
+            if (person.Rests.Length > 6 * Joints.Count)
+                throw new FacepipeException(where, "more joints at rest than its basis has");
             double[] points = Shaped(person.Modes), mean = (double[])Mean.Clone();
             if (person.Joints.Length > 0) AddJoints(person, points);
             if (person.Whole != null)
@@ -586,7 +606,24 @@ namespace Facepipe
                 double[] offsets = new Offsets(this, person.Points, where + " -> points").All();
                 for (int i = 0; i < points.Length; i++) points[i] += offsets[i];
             }
-            return new Rebuilt { Points = points, Joints = JointPlaces(points) };
+            var made = new Rebuilt { Points = points, Joints = JointPlaces(points), Shapes = new double[9] };
+            made.Turns = new double[3 * made.Joints.Length];
+            for (int j = 0; j < Joints.Count; j++)
+            {
+                var numbers = new double[6];
+                if (6 * j < person.Rests.Length) Array.Copy(person.Rests, 6 * j, numbers, 0, 6);
+                for (int axis = 0; axis < 3; axis++) made.Joints[3 * j + axis] += numbers[axis];
+                Turned(numbers).CopyTo(made.Turns, 9 * j);
+            }
+            var shapes = new Similarity(person.Shapes, new double[3]);
+            for (int k = 0; k < 3; k++)
+            {
+                var axis = new double[3];
+                axis[k] = 1;
+                shapes.Apply((double[])axis.Clone(), axis, 0);
+                for (int i = 0; i < 3; i++) made.Shapes[3 * i + k] = axis[i];
+            }
+            return made;
         }
 
         /// <summary>Blinks, looks and squints that fit a person's eyeballs, in place of those of the head that everyone
@@ -648,14 +685,7 @@ namespace Facepipe
             var numbers = new double[9];
             for (int k = 0; k < 9; k++)
                 numbers[k] = (k > 5 ? 1 : 0) + person.JointStep * person.Joints[9 * joint + k] / (k < 3 ? 1 : Lever);
-            double sx = Math.Sin(numbers[3]), sy = Math.Sin(numbers[4]), sz = Math.Sin(numbers[5]);
-            double cx = Math.Cos(numbers[3]), cy = Math.Cos(numbers[4]), cz = Math.Cos(numbers[5]);
-            var turn = new[]
-            {
-                cz * cy - sz * sx * sy, -sz * cx, cz * sy + sz * sx * cy,
-                sz * cy + cz * sx * sy, cz * cx, sz * sy - cz * sx * cy,
-                -cx * sy, sx, cx * cy,
-            };
+            double[] turn = Turned(numbers);
             for (int row = 0; row < 3; row++)
             {
                 int at = 12 * joint + 4 * row;
@@ -668,6 +698,19 @@ namespace Facepipe
                 }
                 ways[at + 3] = left / Limits.Full;
             }
+        }
+
+        // Rz Rx Ry of a joint's numbers, row after row.
+        static double[] Turned(double[] numbers)
+        {
+            double sx = Math.Sin(numbers[3]), sy = Math.Sin(numbers[4]), sz = Math.Sin(numbers[5]);
+            double cx = Math.Cos(numbers[3]), cy = Math.Cos(numbers[4]), cz = Math.Cos(numbers[5]);
+            return new[]
+            {
+                cz * cy - sz * sx * sy, -sz * cx, cz * sy + sz * sx * cy,
+                sz * cy + cz * sx * sy, cz * cx, sz * sy - cz * sx * cy,
+                -cx * sy, sx, cx * cy,
+            };
         }
 
         static double[] Middle(int[] runs, double[] points)
@@ -1585,6 +1628,8 @@ namespace Facepipe
         public byte[] Points = new byte[0]; // offsets by levels
         public int[] Joints = new int[0]; // nine numbers of each of the first identity joints, in steps
         public double JointStep; // millimetres
+        public Placement Shapes = new Placement(); // offsets of shapes turn and grow by it
+        public double[] Rests = new double[0]; // millimetres and radians, six of each of the first joints, to its rest
         public readonly List<int> Skipped = new List<int>(); // kinds of sections that are there and were left out
 
         /// <summary>A person, of the bytes of a .fpb of version 2.</summary>
@@ -1608,7 +1653,7 @@ namespace Facepipe
                     person.Basis = BitConverter.ToUInt64(file, one.Start);
                     named = true;
                 }
-                else if (one.Kind <= 7)
+                else if (one.Kind <= 7 || one.Kind == 12)
                     person.Take(file, one, where);
                 else if (one.Required)
                     throw new FacepipeException(where, "section of kind " + one.Kind + ", expected a known one");
@@ -1642,6 +1687,8 @@ namespace Facepipe
             }
             else if (one.Kind == 7)
                 TakeJoints(file, one, where + " -> joints");
+            else if (one.Kind == 12)
+                TakeRig(file, one, where + " -> rig");
             else
             {
                 if (Parts.Length > 0)
@@ -1657,17 +1704,43 @@ namespace Facepipe
             int count = reader.Byte();
             if (!(JointStep > 0 && JointStep <= Limits.Step) || count == 0)
                 throw reader.Wrong("expected joints in steps of more than 0 and at most 10 mm");
-            var bits = new BitReader(file, one.Start + 3, one.Start + one.Size, 3 * 7, where);
-            Joints = new int[9 * count];
-            for (int i = 0; i < Joints.Length; i++)
+            Joints = JointNumbers(file, one.Start + 3, one.Start + one.Size, count, 9, where);
+        }
+
+        // How joints rest and shapes go, against what points and basis give.
+        void TakeRig(byte[] file, Section one, string where)
+        {
+            var reader = new Reader(file, one.Start, one.Size, where);
+            int at = reader.Take(12);
+            for (int i = 0; i < 3; i++) Shapes.Turn[i] = Numbers.Half(file, at + 2 * i);
+            Shapes.Growth = Numbers.Half(file, at + 6);
+            double move = Numbers.Half(file, at + 8), turn = Numbers.Half(file, at + 10);
+            if (!Shapes.IsSound || !(move > 0 && move <= Limits.Step && turn > 0 && turn <= Limits.Angle))
+                throw reader.Wrong("expected part of a quaternion, a scale, steps of at most 10 mm and 0.1 radians");
+            int[] steps = JointNumbers(file, at + 13, one.Start + one.Size, reader.Byte(), 6, where);
+            Rests = new double[steps.Length];
+            for (int i = 0; i < steps.Length; i++)
             {
-                int context = i % 9 / 3 * 7;
+                if (i % 6 > 2 && i > 5) steps[i] += steps[i - 6]; // turns are less that of the joint before
+                Rests[i] = (i % 6 < 3 ? move : turn) * steps[i];
+            }
+        }
+
+        // Whole numbers of joints, three channels of each kind.
+        static int[] JointNumbers(byte[] file, int start, int end, int joints, int channels, string where)
+        {
+            var bits = new BitReader(file, start, end, 3 * 7, where);
+            var numbers = new int[channels * joints];
+            for (int i = 0; i < numbers.Length; i++)
+            {
+                int context = i % channels / 3 * 7;
                 if (!bits.Bit(context)) continue;
                 bool negative = bits.Number(1) == 1;
                 int size = bits.Size(context + 1, 1);
-                if (size > Limits.Steps) throw reader.Wrong("more than 127 steps, expected fewer");
-                Joints[i] = negative ? -size : size;
+                if (size > Limits.Steps) throw new FacepipeException(where, "more than 127 steps, expected fewer");
+                numbers[i] = negative ? -size : size;
             }
+            return numbers;
         }
 
         static Placement[] Placements(byte[] file, Section section, int each, bool half, int most, string where)
@@ -1685,16 +1758,12 @@ namespace Facepipe
                     values[each == 7 || i < 3 ? i : 6] = value;
                 }
                 var one = new Placement { Growth = values[6] };
-                double squares = 0;
-                bool sound = Math.Abs(one.Growth) <= Limits.Growth;
                 for (int i = 0; i < 3; i++)
                 {
                     one.Move[i] = values[i];
                     one.Turn[i] = values[3 + i];
-                    squares += one.Turn[i] * one.Turn[i];
-                    sound = sound && Math.Abs(one.Move[i]) <= Limits.Move && Math.Abs(one.Turn[i]) <= 1;
                 }
-                if (!sound || !(squares <= Limits.Turn))
+                if (!one.IsSound)
                     throw new FacepipeException(where, "expected a move, part of a quaternion, a scale");
                 found[row] = one;
             }

@@ -67,7 +67,7 @@ def run(words: Sequence[str]) -> str:
 
 
 def rebuilt(driver: Sequence[str], basis: Path, person: Path, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(count, 3) points and (j, 3) joints of a person, millimetres."""
+    """(count, 3) points of a person; in rows of 3 places of joints in millimetres, their turns, and that of shapes."""
     out = person.with_suffix(".bin")
     run([*driver, "points", str(basis), str(person), str(out)])
     values = np.fromfile(out, "<f8").reshape(-1, 3)

@@ -2,8 +2,9 @@
 
 `write` makes a folder of corpora: cases (`NAME.cases`: uint32 length, bytes, one after another), verdicts
 (`NAME.verdicts`: a line a case) and, for persons, the basis that they are on (`NAME.fpbasis`). A verdict is `no`, or
-`ok` and four figures in nine digits: of the coordinates of points, then of joints, the mean size, and the mean of
-each times 1 + i % 7. Figures of other readers may differ as rounding does: `disagreements` says which differ by more.
+`ok` and four figures in nine digits: of the coordinates of points, then of joints, how they are turned and how shapes
+are, the mean size, and the mean of each times 1 + i % 7. Figures of other readers may differ as rounding does:
+`disagreements` says which differ by more.
 
     python tests/support/person_corpus.py FOLDER --cases 20000
 """
@@ -43,18 +44,20 @@ from facepipe.payload.lid_tables import WAYS, EyeTables, LidTables
 from facepipe.payload.person import (
     COEFFICIENTS,
     JOINTS,
-    LARGEST_STEPS,
     LOOK,
     PICTURES,
     POINTS,
+    RIG,
     PersonContent,
     decode_person,
     encode_person,
 )
+from facepipe.payload.person_rig import LARGEST_STEPS, PersonRig
 from facepipe.payload.sections import Section, pack, unpack, written_sections
 from facepipe.payload.small_numbers import encode_numbers
 from facepipe.rig.identity_joints import coefficients_of_steps
 from facepipe.verbs.person_basis import Basis, head_basis, template_basis
+from facepipe.verbs.person_rig import RigChange, joint_places
 from facepipe.verbs.whole_faces import Topology
 
 Rng = random.Random
@@ -198,10 +201,21 @@ def person_verdict(basis: Basis, data: bytes) -> str:
         if any(row.required and row.kind in _BESIDE for row in rows):
             return "no"
         shape = pack([row for row in rows if row.kind not in _BESIDE])
-        points = basis.rebuilt(decode_person(shape, "case"), "case")
+        content = decode_person(shape, "case")
+        points = basis.rebuilt(content, "case")
     except InputError:
         return "no"
-    return _line(points, basis.content)
+    return _figures(points.ravel(), joints_and_turns(basis, content, points))
+
+
+def joints_and_turns(basis: Basis, content: PersonContent, points: np.ndarray) -> np.ndarray:
+    """Numbers of a rebuilt person: places of joints, rows of how each is turned, and of how shapes are."""
+    return np.concatenate(_rig(basis.content, points, basis.rig_change(content)))
+
+
+def _rig(content: BasisContent, points: np.ndarray, change: RigChange, *others: np.ndarray) -> list[np.ndarray]:
+    worlds = change.worlds(joint_places(content, points))
+    return [worlds[:, :3, 3].ravel(), *map(np.ravel, others), worlds[:, :3, :3].ravel(), change.shapes.ravel()]
 
 
 def basis_verdict(data: bytes) -> str:
@@ -217,7 +231,9 @@ def basis_verdict(data: bytes) -> str:
     points = content.mean + content.step * content.modes.sum(axis=0, dtype=np.int64).T
     if joints := _of(content).joints:
         points[joints.rows] += joints.offsets(coefficients_of_steps(np.ones((len(joints.places), 9)), 1.0))
-    return _line(points, content, [] if content.lids is None else _numbers_of_lids(content.lids))
+    lids = [] if content.lids is None else _numbers_of_lids(content.lids)
+    still = RigChange.of(None, len(content.joints))
+    return _figures(points.ravel(), np.concatenate(_rig(content, points, still, *lids)))
 
 
 def _numbers_of_lids(lids: LidTables) -> list[np.ndarray]:
@@ -239,11 +255,6 @@ def poses_verdict(data: bytes) -> str:
     except InputError:
         return "no"
     return _figures(content.frames.ravel(), np.zeros(0) if content.times is None else content.times)
-
-
-def _line(points: np.ndarray, content: BasisContent, others: Sequence[np.ndarray] = ()) -> str:
-    joints = [joint.shares @ points[joint.points] for joint in content.joints]
-    return _figures(points.ravel(), np.concatenate([np.zeros(0), *joints, *map(np.ravel, others)]))
 
 
 def _figures(*both: np.ndarray) -> str:
@@ -287,12 +298,24 @@ def sound_person(basis: Basis, rng: Rng) -> bytes:
         content = replace(content, points=basis.levels.encode(offsets, rng.choice([0.01, 0.2, 3.0]), coarse)[0])
     if rng.random() < 0.5:
         content = replace(content, joints=_joints(rng, draw, basis), step=float(np.float16(rng.choice(_STEPS))))
+    if rng.random() < 0.4:
+        content = replace(content, rig=_sound_rig(rng, draw, len(basis.content.joints)))
     data = encode_person(content)
     if rng.random() < 0.1:
-        data = pack(
-            [*unpack(data, "person"), Section(rng.choice([*_BESIDE, 60, 127]), draw.bytes(rng.randint(0, 9)), False)]
-        )
+        beside = Section(rng.choice([*_BESIDE, 60, 127]), draw.bytes(rng.randint(0, 9)), False)
+        data = pack(sorted([*unpack(data, "person"), beside]))
     return data
+
+
+def _sound_rig(rng: Rng, draw: np.random.Generator, most: int) -> PersonRig:
+    """Joints, of as many as there are or fewer, and shapes that stay or turn."""
+    numbers = draw.normal(0, rng.choice([0.5, 3, 60]), (rng.choice([most, rng.randint(0, most)]), 6))
+    return PersonRig(
+        shapes=(_placements(draw, 1, 0, rng.random() < 0.2)[0, 3:] * (rng.random() < 0.7)).astype(np.float16),
+        move=float(np.float16(rng.choice(_STEPS))),
+        turn=float(np.float16(rng.choice((1e-4, 5e-4, 0.01, 0.0999)))),
+        steps=np.rint(numbers).astype(np.int64).clip(-LARGEST_STEPS, LARGEST_STEPS),
+    )
 
 
 def _joints(rng: Rng, draw: np.random.Generator, basis: Basis) -> np.ndarray:
@@ -443,6 +466,23 @@ def _joints_of_person(rng: Rng, data: bytes) -> bytes:
     return pack(sorted([*rows, Section(JOINTS, own, rng.random() < 0.9)]))
 
 
+def _rig_of_person(rng: Rng, data: bytes) -> bytes:
+    """Rigs of other counts and steps, with numbers beyond limits, and cut."""
+    rows = [row for row in unpack(data, "person") if row.kind != RIG]
+    numbers = np.array([[rng.choice((0, 0, 1, -1, 9, -20, 127)) for _ in range(6)] for _ in range(rng.randint(0, 3))])
+    numbers = numbers.reshape(-1, 6)
+    count = rng.randrange(256) if rng.random() < 0.3 else len(numbers)
+    if len(numbers) and rng.random() < 0.3:
+        numbers.flat[rng.randrange(numbers.size)] = rng.choice((-1, 1)) * rng.choice((126, 127, 128, 141, 142, 70_000))
+    halves = [*(rng.choice((0, 0x3000, 0xB000, 0x3BFF)) for _ in range(4)), 0x2E66, 0x1019]
+    if rng.random() < 0.5:
+        halves[rng.randrange(6)] = rng.choice((*_HALVES, 0x4900, 0x4901, 0x2E66, 0x2E67))  # the most, and beyond
+    bits = encode_numbers(numbers)
+    own = struct.pack("<6HB", *halves, count) + (_scattered(rng, bits, 0) if rng.random() < 0.2 else bits)
+    own = _cut(rng, own) if rng.random() < 0.2 else own
+    return pack(sorted([*rows, Section(RIG, own, rng.random() < 0.9)]))
+
+
 def _unsealed_or_sealed(rng: Rng, data: bytes) -> bytes:
     """Two thirds damaged, mostly under the right sum, half of them in the header."""
     if rng.random() < 1 / 3:
@@ -461,6 +501,7 @@ _PERSON_DAMAGES: tuple[_Damage, ...] = (
     _sections,
     _numbers,
     _joints_of_person,
+    _rig_of_person,
 )
 
 

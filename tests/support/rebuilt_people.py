@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from device_readers import lids, rebuilt
-from person_corpus import basis, basis_file
+from person_corpus import basis, basis_file, joints_and_turns
 from small_sources import made
 
 from facepipe.heads import make
 from facepipe.heads.assembly import LIDS, average
 from facepipe.heads.asset import arrays
-from facepipe.payload.person import decode_person
+from facepipe.payload.person import decode_person, encode_person
+from facepipe.payload.person_rig import PersonRig
 from facepipe.verbs.person_basis import head_basis
 from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.person_neutral import with_neutral
+from facepipe.verbs.person_rig import RigChange
 from facepipe.verbs.whole_faces import whole_points
 
 _BAR = 1e-4  # millimetres
+RIG = PersonRig(  # as of who was blended by regions, but larger
+    shapes=np.array([0.06, -0.02, 0.01, 0.05], np.float16),
+    move=float(np.float16(0.1)),
+    turn=float(np.float16(0.002)),
+    steps=np.random.default_rng(3).integers(-20, 21, (43, 6)) // [1, 1, 1, 4, 4, 4],
+)
 
 
 def drawn(seed: int = 7) -> np.ndarray:
@@ -54,6 +63,10 @@ PEOPLE: Mapping[str, tuple[str, Callable[[], bytes]]] = {  # which basis, and th
     "drawn with points": ("head", lambda: _head(drawn(), 0.5)),
     "blended": ("head", lambda: _head(blended(), 0.3)),
     "placed": ("head", lambda: _head(placed(), 50.0)),
+    "blended with its rig": (
+        "head",
+        lambda: encode_person(replace(decode_person(_head(blended(), 0.3), "me"), rig=RIG)),
+    ),
     "studio": ("studio", lambda: encode_points(basis("studio"), whole_points(made(1)), within=0.05)[0]),
     "square": ("square", _square),
 }
@@ -66,17 +79,17 @@ def assert_rebuilt_as_python(driver: Sequence[str], name: str, folder: Path) -> 
     own, data = basis(of), payload()
     (folder / "own.fpbasis").write_bytes(basis_file(of))
     (folder / "me.fpb").write_bytes(data)
-    expected = own.rebuilt(decode_person(data, name), name)
+    content = decode_person(data, name)
+    expected = own.rebuilt(content, name)
     points, joints = rebuilt(driver, folder / "own.fpbasis", folder / "me.fpb", len(expected))
     assert np.abs(points - expected).max() <= _BAR
-    places = [joint.shares @ expected[joint.points] for joint in own.content.joints]
-    np.testing.assert_allclose(joints, np.reshape(places, (-1, 3)), rtol=0, atol=_BAR)
-    assert of != "head" or len(joints) == 44
+    np.testing.assert_allclose(joints.ravel(), joints_and_turns(own, content, expected), rtol=0, atol=_BAR)
+    assert of != "head" or len(joints) == 4 * 44 + 3
 
 
-def python_lids(points: np.ndarray) -> dict[tuple[str, float], np.ndarray]:
+def python_lids(points: np.ndarray, rig: RigChange | None = None) -> dict[tuple[str, float], np.ndarray]:
     """(k, 3) offsets in millimetres, by shape and weight, of lids of who has points (n, 3) of the head in the box."""
-    face = with_neutral(average(), head_basis(), points)
+    face = with_neutral(average(), head_basis(), points, rig)
     head, found = face.meshes[0], {}
     for shape in head.blendshapes:
         if shape.name in LIDS:
@@ -94,7 +107,8 @@ def assert_lids_as_python(driver: Sequence[str], name: str, folder: Path) -> Non
     (folder / "head.fpbasis").write_bytes(basis_file("head"))
     (folder / "me.fpb").write_bytes(data)
     rows, offsets = lids(driver, folder / "head.fpbasis", folder / "me.fpb")
-    expected = python_lids(head_basis().rebuilt(decode_person(data, name), name))
+    content = decode_person(data, name)
+    expected = python_lids(head_basis().rebuilt(content, name), head_basis().rig_change(content))
     assert len(rows) == len(set(rows))
     assert set(rows) == set(expected)
     for row, own in zip(rows, offsets, strict=True):

@@ -31,12 +31,21 @@ static class Corpus
         try
         {
             Rebuilt made = of();
-            return "ok" + Figures(made.Points) + Figures(made.Joints);
+            return "ok" + Figures(made.Points) + Figures(JointsOf(made));
         }
         catch (FacepipeException)
         {
             return "no";
         }
+    }
+
+    // Joints with how they are turned, and how shapes are.
+    static double[] JointsOf(Rebuilt made)
+    {
+        var numbers = new List<double>(made.Joints);
+        numbers.AddRange(made.Turns);
+        numbers.AddRange(made.Shapes);
+        return numbers.ToArray();
     }
 
     static Rebuilt Whole(Basis basis)
@@ -102,7 +111,7 @@ static class Corpus
             Console.WriteLine(string.Format(CultureInfo.InvariantCulture, "{0:F1} {1:F2} {2:F2}", loaded - before, each, lids));
             return;
         }
-        var arrays = new List<double[]> { made.Points, made.Joints };
+        var arrays = new List<double[]> { made.Points, JointsOf(made) };
         if (words[0] == "lids")
         {
             arrays.Clear();

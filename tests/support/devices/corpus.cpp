@@ -35,13 +35,20 @@ static void figures(const std::vector<double>& values) {
   std::printf(" %.9g %.9g", size / count, weighted / count);
 }
 
+// Joints with how they are turned, and how shapes are.
+static std::vector<double> whole(const Rebuilt& made) {
+  std::vector<double> numbers = made.joints;
+  for (const std::vector<double>& more : {made.turns, made.shapes}) numbers.insert(numbers.end(), more.begin(), more.end());
+  return numbers;
+}
+
 template <class Case>
 static void line(const Case& of) {
   try {
     const Rebuilt made = of();
     std::printf("ok");
     figures(made.points);
-    figures(made.joints);
+    figures(whole(made));
     std::printf("\n");
   } catch (const Error& error) {
     std::printf("no\n");
@@ -89,7 +96,7 @@ int main(int count, char** words) {
     for (const Bytes& one : cases(words[2]))
       line([&] {
         const Poses poses = read_poses(one, "case");
-        return Rebuilt{poses.values, std::vector<double>(poses.times.begin(), poses.times.end())};
+        return Rebuilt{poses.values, std::vector<double>(poses.times.begin(), poses.times.end()), {}, {}};
       });
     return 0;
   }
@@ -127,6 +134,6 @@ int main(int count, char** words) {
     }
     return 0;
   }
-  write(made.points), write(made.joints);
+  write(made.points), write(whole(made));
   return 0;
 }

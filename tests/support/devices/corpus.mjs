@@ -1,6 +1,6 @@
 // What the runtime's person.js makes of the cases of tests/support/person_corpus.py: node corpus.mjs PERSON_JS ...
 //
-//   persons BASIS CASES   a line a case: "ok", and figures of the points and joints; or "no"
+//   persons BASIS CASES   a line a case: "ok", and figures of the points and joints, with turns; or "no"
 //   bases CASES           the same of bases: of all of their modes, and a step of 1 mm of all numbers of joints
 //   poses CASES           the same of bone coefficients: nine numbers a joint and frame, then times
 //   points BASIS FPB OUT  points and joints as float64
@@ -10,7 +10,7 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [script, what, ...files] = process.argv.slice(2);
-const { FaceError, fittedLids, jointPlaces, parsePayload, parsePerson, readBasis, rebuilt } = await import(pathToFileURL(script));
+const { FaceError, fittedLids, jointPlaces, jointTurns, parsePayload, parsePerson, readBasis, rebuilt, shapesTurn } = await import(pathToFileURL(script));
 const read = (file) => Uint8Array.from(readFileSync(file)).buffer;
 const processor = () => process.cpuUsage().user / 1e3 + process.cpuUsage().system / 1e3;
 
@@ -21,11 +21,12 @@ if (what === "bases") {
     const basis = await readBasis(bytes, "case");
     const joints = { step: 1, numbers: new Array(basis.identityJoints?.places.length * 3 || 0).fill(1) };
     const modes = basis.modes.map(() => 1);
-    const [points, places] = made(basis, rebuilt(basis, { where: "case", basis: basis.digest, modes, placement: null, parts: [], points: [], joints }));
+    const who = { where: "case", basis: basis.digest, modes, placement: null, parts: [], points: [], joints, rig: null };
+    const points = rebuilt(basis, who);
     const eyes = basis.lids?.eyes ?? [];
     const numbers = eyes.flatMap((eye) => [eye.centre, eye.shares, eye.balls, eye.stretches, eye.ends, eye.ways]);
     tryLids(basis, points);
-    return [points, [places, basis.lids?.reach ?? [], ...numbers].flatMap((one) => Array.from(one))];
+    return [points, [jointPlaces(basis, points), basis.lids?.reach ?? [], ...numbers, jointTurns(basis, null), shapesTurn(null)].flatMap((one) => Array.from(one))];
   });
 } else if (what === "poses") {
   await judge(files[0], (bytes) => {
@@ -36,11 +37,22 @@ if (what === "bases") {
   const before = processor();
   const basis = await readBasis(read(files[0]), files[0]);
   const loaded = processor() - before;
-  const person = (bytes) => made(basis, rebuilt(basis, parsePerson(bytes, "case")));
-  if (what === "persons") await judge(files[1], (bytes) => tryLids(basis, person(bytes)[0]) && person(bytes));
-  else if (what === "points") write(person(read(files[1])));
+  const person = (bytes) => {
+    const who = parsePerson(bytes, "case");
+    const points = rebuilt(basis, who);
+    const joints = [jointPlaces(basis, points, who.rig), jointTurns(basis, who.rig), shapesTurn(who.rig)];
+    return [who, points, Float64Array.from(joints.flatMap((one) => Array.from(one)))];
+  };
+  if (what === "persons") {
+    await judge(files[1], (bytes) => {
+      const [who, ...both] = person(bytes);
+      tryLids(basis, both[0], who);
+      return both;
+    });
+  } else if (what === "points") write(person(read(files[1])).slice(1));
   else if (what === "lids") {
-    const shapes = fittedLids(basis, person(read(files[1]))[0]);
+    const [who, points] = person(read(files[1]));
+    const shapes = fittedLids(basis, points, who);
     for (const { name, weight } of shapes) console.log(name, weight);
     write(shapes.map((shape) => shape.offsets));
   } else {
@@ -53,7 +65,7 @@ if (what === "bases") {
       return [took[0], took.sort((a, b) => a - b)[10]];
     };
     const rebuild = timed(() => person(read(files[1])));
-    const [points] = person(read(files[1]));
+    const [, points] = person(read(files[1]));
     console.log([loaded, ...rebuild, ...timed(() => fittedLids(basis, points))].map((one) => one.toFixed(1)).join(" "));
   }
 }
@@ -63,17 +75,12 @@ function write(arrays) {
 }
 
 /** Lids of whatever points: offsets, or one line. */
-function tryLids(basis, points) {
+function tryLids(basis, points, who = null) {
   try {
-    fittedLids(basis, points);
+    fittedLids(basis, points, who);
   } catch (error) {
     if (!(error instanceof FaceError)) throw error;
   }
-  return true;
-}
-
-function made(basis, points) {
-  return [points, jointPlaces(basis, points)];
 }
 
 /** A line for each case: uint32 length, bytes, one after another. */

@@ -6,13 +6,13 @@ import { FaceError } from "./errors";
 import { type Followed, followedPoints } from "./followed";
 import type { FaceMesh, LoadedGlb } from "./glb";
 import { Joints } from "./joints";
-import { resetLids, setLids } from "./lid_targets";
+import { resetShapes, setLids, turnShapes } from "./person_targets";
 import { fittedLids } from "./lids";
 import { type Metadata, output, sliderInput } from "./metadata";
 import type { Network } from "./network";
 import { resetNeutral, setNeutral } from "./neutral";
 import { jointsHash, type Payload } from "./payload";
-import { jointPlaces, type Person, rebuilt } from "./person";
+import { jointPlaces, jointTurns, type Person, rebuilt, shapesTurn } from "./person";
 import { readPictures, setPictures } from "./pictures";
 import { readPoints } from "./read_points";
 import { setFromGraph, setFromShapes, shapesOf } from "./targets";
@@ -128,13 +128,13 @@ export class Face {
   async setPerson(person: Person | null, basis?: Basis): Promise<void> {
     if (!person || !basis) {
       this.meshes.forEach(resetNeutral);
-      resetLids(this.meshes);
+      resetShapes(this.meshes);
       this.joints?.setRest(new Map());
       setPictures(this.meshes, new Map());
       return this.update();
     }
     const millimetres = rebuilt(basis, person);
-    const lids = fittedLids(basis, millimetres, person.where);
+    const lids = fittedLids(basis, millimetres, person);
     const points = millimetres.map((value) => value * MM);
     const followed = this.followed.get(basis) ?? followedPoints(this.meshes, basis);
     this.followed.set(basis, followed);
@@ -151,9 +151,15 @@ export class Face {
         }
       });
     }
+    resetShapes(this.meshes);
+    if (person.rig) turnShapes(this.meshes, shapesTurn(person.rig), new Set(lids.map(({ name }) => name)));
     setLids(this.meshes, followed, basis.count, lids);
-    const places = jointPlaces(basis, points);
-    this.joints?.setRest(new Map(basis.joints.map(({ path }, i) => [path, new Vector3().fromArray(places, 3 * i)])));
+    const [places, turns] = [jointPlaces(basis, millimetres, person.rig), jointTurns(basis, person.rig)];
+    const rest = (i: number) => {
+      const [a, b, c, d, e, f, g, h, k] = turns.subarray(9 * i, 9 * i + 9);
+      return new Matrix4().set(a, b, c, 0, d, e, f, 0, g, h, k, 0, 0, 0, 0, 1).setPosition(new Vector3().fromArray(places, 3 * i).multiplyScalar(MM));
+    };
+    this.joints?.setRest(new Map(basis.joints.map(({ path }, i) => [path, rest(i)])));
     return this.update();
   }
 

@@ -68,17 +68,26 @@ export function readJointSteps(bytes: Bytes, where: string): JointSteps {
   if (!(step > 0 && step <= LARGEST_STEP) || !count) {
     throw bytes.wrong(`${count} joints in steps of ${step} mm, expected some in steps above 0, at most ${LARGEST_STEP}`);
   }
+  return { step, numbers: readJointNumbers(bytes, count, CHANNELS, where) };
+}
+
+/**
+ * Whole numbers of joints, the rest of the bytes.
+ * @param channels of a joint, three of each kind
+ * @throws FaceError bytes that are cut, or numbers beyond limits
+ */
+export function readJointNumbers(bytes: Bytes, joints: number, channels: number, where: string): Int32Array {
   const reader = new BitReader(bytes.take(bytes.left), 3 * EACH, where);
-  const numbers = new Int32Array(CHANNELS * count);
+  const numbers = new Int32Array(channels * joints);
   for (let i = 0; i < numbers.length; i++) {
-    const context = (((i % CHANNELS) / 3) | 0) * EACH;
+    const context = (((i % channels) / 3) | 0) * EACH;
     if (!reader.bit(context)) continue;
     const negative = reader.number(1);
     const size = reader.size(context + 1, 1);
-    if (size > LARGEST_STEPS) throw bytes.wrong(`${size} steps of joint ${(i / CHANNELS) | 0}, expected at most ${LARGEST_STEPS}`);
+    if (size > LARGEST_STEPS) throw bytes.wrong(`${size} steps of joint ${(i / channels) | 0}, expected at most ${LARGEST_STEPS}`);
     numbers[i] = negative ? -size : size;
   }
-  return { step, numbers };
+  return numbers;
 }
 
 /**

@@ -1,5 +1,5 @@
 /** The joints of a face: brought to where a graph or bone coefficients put them. */
-import { type Bone, type Group, Matrix4, type Skeleton, type Vector3 } from "three";
+import { type Bone, type Group, Matrix4, type Skeleton } from "three";
 import { FaceError } from "./errors";
 import type { Output } from "./metadata";
 
@@ -46,19 +46,19 @@ export class Joints {
   private readonly inverses: Matrix4[];
 
   /**
-   * Have joints rest elsewhere, along the axes of the face; the others keep their place below their parents.
-   * @param places by path, metres; none: as in the file
+   * Have joints rest elsewhere; the others keep their place below their parents.
+   * @param rests by path, in the space of the face; none: as in the file
    */
-  setRest(places: ReadonlyMap<string, Vector3>): void {
+  setRest(rests: ReadonlyMap<string, Matrix4>): void {
     const worlds: Matrix4[] = [];
     this.bones.forEach((_, i) => {
-      const place = places.get(this.paths[i]);
+      const rest = rests.get(this.paths[i]);
       const parent = this.parents[i];
-      if (place) worlds.push(new Matrix4().setPosition(place));
+      if (rest) worlds.push(rest);
       else worlds.push(parent < 0 ? this.fileWorlds[i].clone() : worlds[parent].clone().multiply(this.fileRest[i]));
       this.inverses[i].copy(worlds[i]).invert().multiply(this.fileWorlds[i]).multiply(this.fileInverses[i]);
     });
-    this.rest = places.size ? this.locals(worlds) : this.fileRest;
+    this.rest = rests.size ? this.locals(worlds) : this.fileRest;
   }
 
   private locals(worlds: Matrix4[]): Matrix4[] {

@@ -2,7 +2,7 @@
 import type { Basis } from "./basis";
 import { FaceError } from "./errors";
 import { type LidEye, type LidTables, MARGIN, RINGS } from "./lid_tables";
-import { jointPlaces } from "./person";
+import { jointPlaces, type Person } from "./person";
 
 /** A shape at a weight: 1 the last, below it inbetweens. */
 export interface LidShape {
@@ -48,12 +48,14 @@ const NOTHING = -1.5; // millimetres: what lies so far above is not pushed
 /**
  * Shapes of a person's lids, in place of those of the head that everyone has. None where the basis has no tables of lids.
  * @param points of the person, as `rebuilt` gives them
+ * @param person with where its joints rest; none: as the points have them
  * @throws FaceError an eye without width
  */
-export function fittedLids(basis: Basis, points: Float64Array, where = "person"): LidShape[] {
+export function fittedLids(basis: Basis, points: Float64Array, person: Pick<Person, "where" | "rig"> | null = null): LidShape[] {
   const { lids } = basis;
   if (!lids) return [];
-  const heights = jointPlaces(basis, points).filter((_, i) => i % 3 === 1);
+  const where = person?.where ?? "person";
+  const heights = jointPlaces(basis, points, person?.rig).filter((_, i) => i % 3 === 1);
   const eyes = lids.eyes.map((eye, number) => new EyeFit(basis, lids, eye, number ? -1 : 1, points, heights, where));
   const size = (of: "own" | "mean") => eyes.reduce((sum, eye) => sum + Math.sqrt(eye[of].squares.reduce((all, one) => all + one, 0) / 3), 0);
   const scale = size("own") / size("mean");

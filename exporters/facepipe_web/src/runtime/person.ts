@@ -3,6 +3,8 @@ import type { Basis, RigidPart } from "./basis";
 import { Bytes, crc32, hex, readSections } from "./bytes";
 import { FaceError } from "./errors";
 import { addIdentityJoints, type JointSteps, readJointSteps } from "./identity_joints";
+import { motionOf } from "./motion";
+import { type PersonRig, readRig } from "./person_rig";
 import { addOffsets } from "./point_levels";
 
 export interface Person {
@@ -20,6 +22,8 @@ export interface Person {
   points: Uint8Array;
   /** of identity joints */
   joints: JointSteps | null;
+  /** how joints rest and shapes go, where not as points and basis have them */
+  rig: PersonRig | null;
   /** section of pictures of materials */
   pictures: Uint8Array;
   /** bone coefficients on top, for `parsePayload` */
@@ -33,6 +37,7 @@ const VERSION = 2;
 const HEADER = 8;
 const [BASIS, MODES, PLACEMENT, MOVED_PARTS, TURNED_PARTS, POINTS, JOINTS] = [1, 2, 3, 4, 5, 6, 7];
 const [PICTURES, COEFFICIENTS] = [10, 11]; // which may be left out
+const RIG = 12;
 const DIGEST = 8; // bytes
 const MOST_MODES = 4096;
 const MOST_PARTS = 16;
@@ -59,7 +64,7 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
   }
   if (view.getUint16(6, true)) throw new FaceError(where, `flags ${view.getUint16(6, true)}, expected none`);
   const sections = readSections(new Uint8Array(bytes, HEADER, end - HEADER), where);
-  const skipped = [...sections.values()].filter(({ kind }) => kind > JOINTS);
+  const skipped = [...sections.values()].filter(({ kind }) => kind > JOINTS && kind !== RIG);
   for (const { kind, required } of skipped) {
     if (required) throw new FaceError(where, `section of kind ${kind}, which this version of facepipe does not know`);
   }
@@ -89,6 +94,7 @@ export function parsePerson(bytes: ArrayBuffer, where = "person"): Person {
     parts: checkedMoves([...still, ...rows(TURNED_PARTS, 2, 7, MOST_PARTS, "parts")], where),
     points: sections.get(POINTS)?.data ?? new Uint8Array(0),
     joints: joints ? readJointSteps(new Bytes(joints, trail), trail) : null,
+    rig: sections.has(RIG) ? checkedRig(sections.get(RIG)!.data, `${where} -> rig`) : null,
     pictures: sections.get(PICTURES)?.data ?? new Uint8Array(0),
     coefficients: sections.has(COEFFICIENTS) ? Uint8Array.from(sections.get(COEFFICIENTS)!.data).buffer : null,
     skipped: skipped.map(({ kind }) => kind).filter((kind) => kind !== PICTURES && kind !== COEFFICIENTS),
@@ -113,6 +119,8 @@ export function rebuilt(basis: Basis, person: Person): Float64Array {
   const [own, count] = [basis.identityJoints, (joints?.numbers.length ?? 0) / 9];
   const most = (own?.places.length ?? 0) / 3;
   if (count > most) throw new FaceError(where, `${count} joints, expected at most the ${most} of its basis`);
+  const rests = person.rig?.rests.length ?? 0;
+  if (rests > basis.joints.length) throw new FaceError(where, `${rests} joints at rest, expected at most the ${basis.joints.length} of its basis`);
   const [points, mean] = [interleaved(shaped(basis, modes), basis.count), interleaved(basis.mean, basis.count)];
   if (own && joints) addIdentityJoints(own, joints, mean, points);
   const all: RigidPart["runs"] = [[0, basis.count]];
@@ -126,15 +134,35 @@ export function rebuilt(basis: Basis, person: Person): Float64Array {
   return points;
 }
 
-/** Where the basis's joints are in a person's points, 3 numbers each; along the axes of the world. */
-export function jointPlaces(basis: Basis, points: Float64Array): Float64Array {
+/** Where the basis's joints rest, 3 numbers each: by a person's points, and the person's rig if there is one. */
+export function jointPlaces(basis: Basis, points: Float64Array, rig: PersonRig | null = null): Float64Array {
   const found = new Float64Array(3 * basis.joints.length);
-  basis.joints.forEach((joint, i) =>
+  basis.joints.forEach((joint, i) => {
     joint.points.forEach((point, k) => {
       for (let axis = 0; axis < 3; axis++) found[3 * i + axis] += joint.shares[k] * points[3 * point + axis];
-    }),
-  );
+    });
+    for (let axis = 0; axis < 3; axis++) found[3 * i + axis] += rig?.rests[i]?.[4 * axis + 3] ?? 0;
+  });
   return found;
+}
+
+/** How the basis's joints are turned at rest: 9 numbers each, rows of a rotation. */
+export function jointTurns(basis: Basis, rig: PersonRig | null): Float64Array {
+  const still = motionOf([0, 0, 0, 0, 0, 0, 1, 1, 1]);
+  return Float64Array.from(basis.joints.flatMap((_, i) => (rig?.rests[i] ?? still).filter((_, k) => k % 4 < 3)));
+}
+
+/** What offsets of shapes are multiplied by, but those of lids: 9 numbers, rows. */
+export function shapesTurn(rig: PersonRig | null): number[] {
+  const columns = Float64Array.of(1, 0, 0, 0, 1, 0, 0, 0, 1);
+  if (rig) place([0, 0, 0, ...rig.shapes], columns, columns, [[0, 3]], [0, 0, 0]);
+  return Array.from(columns, (_, i) => columns[3 * (i % 3) + ((i / 3) | 0)]);
+}
+
+function checkedRig(data: Uint8Array, where: string): PersonRig {
+  const rig = readRig(new Bytes(data, where), where);
+  checkedMoves([[0, 0, 0, ...rig.shapes]], `${where} -> shapes`);
+  return rig;
 }
 
 const BLOCK = 4096; // numbers of a sum that stay in the cache

@@ -3,4 +3,5 @@ export { type Basis, readBasis } from "./basis";
 export { FaceError } from "./errors";
 export { fittedLids, type LidShape } from "./lids";
 export { jointsHash, parsePayload, type Payload } from "./payload";
-export { isPerson, jointPlaces, parsePerson, type Person, rebuilt } from "./person";
+export { isPerson, jointPlaces, jointTurns, parsePerson, type Person, rebuilt, shapesTurn } from "./person";
+export type { PersonRig } from "./person_rig";

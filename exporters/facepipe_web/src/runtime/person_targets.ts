@@ -1,4 +1,4 @@
-/** Shapes of lids in the targets of a face's meshes: as in its file, or those that fit a person's eyeballs. */
+/** Shapes in the targets of a face's meshes: as in its file, or turned as a person's, with lids that fit the eyeballs. */
 import { BufferAttribute, type BufferGeometry, type Mesh } from "three";
 import type { Followed } from "./followed";
 import type { FaceMesh } from "./glb";
@@ -15,7 +15,6 @@ const kept = new WeakMap<BufferGeometry, Map<number, NonNullable<BufferGeometry[
  * @param count of points of the basis
  */
 export function setLids(meshes: FaceMesh[], followed: Map<Mesh, Followed>, count: number, shapes: LidShape[]): void {
-  resetLids(meshes);
   for (const { name, weight, points, offsets } of shapes) {
     const numbers = new Int32Array(count).fill(-1);
     points.forEach((point, i) => (numbers[point] = i));
@@ -50,8 +49,31 @@ export function setLids(meshes: FaceMesh[], followed: Map<Mesh, Followed>, count
   }
 }
 
+/**
+ * Turn all shapes but some.
+ * @param rows 9 numbers
+ * @param but shapes that are set otherwise
+ */
+export function turnShapes(meshes: FaceMesh[], rows: number[], but: ReadonlySet<string>): void {
+  const [a, b, c, d, e, f, g, h, k] = rows;
+  for (const { primitives, targets, inbetweens } of meshes) {
+    targets.forEach((target, number) => {
+      if (but.has(inbetweens[target]?.shape ?? target)) return;
+      for (const { geometry } of primitives) {
+        const moves = own(geometry, number);
+        for (let i = 0; i < moves.length; i += 3) {
+          const [x, y, z] = moves.subarray(i, i + 3);
+          moves[i] = a * x + b * y + c * z;
+          moves[i + 1] = d * x + e * y + f * z;
+          moves[i + 2] = g * x + h * y + k * z;
+        }
+      }
+    });
+  }
+}
+
 /** Put the shapes of the file back. */
-export function resetLids(meshes: FaceMesh[]): void {
+export function resetShapes(meshes: FaceMesh[]): void {
   for (const { geometry } of meshes.flatMap((mesh) => mesh.primitives)) {
     const file = kept.get(geometry);
     if (!file) continue;
