@@ -40,27 +40,30 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     facepipe.export(folder / "head.usdc", folder / "small.glb", purpose="persons", engine="unreal")
     (folder / "head.fpbasis").write_bytes(basis_file("head"))
     (folder / "me.fpb").write_bytes(PEOPLE["drawn with points"][1]())
+    (folder / "blend.fpb").write_bytes(PEOPLE["blended with a rig"][1]())
     return folder
 
 
-def of_person(folder: Path) -> FaceParts:
-    """The head with the person's points and joints, cards on the skin, and lids as Python fits them to the eyeballs."""
-    points = head_basis().rebuilt(decode_person((folder / "me.fpb").read_bytes(), "me"), "me") / 10
+def of_person(folder: Path, person: str = "me.fpb") -> FaceParts:
+    """The head with the person's points, joints and shapes, cards on the skin, and lids as Python fits them to the
+    eyeballs."""
+    content = decode_person((folder / person).read_bytes(), "me")
+    points, rig = head_basis().rebuilt(content, "me") / 10, head_basis().rig_change(content)
     parts = held(facepipe.open(folder / "head.usdc").parts())
     ends = np.cumsum([mesh.points for mesh in head_basis().content.meshes])
-    own = dict(zip((mesh.name for mesh in head_basis().content.meshes), np.split(points, ends), strict=False))
+    places = dict(zip((mesh.name for mesh in head_basis().content.meshes), np.split(points, ends), strict=False))
     meshes: list[Mesh] = []
     for mesh in parts.meshes:
         held_on: Holds | None = mesh.holds
         if held_on is None:
-            meshes.append(replace(mesh, points=own[mesh.name]))
+            meshes.append(replace(mesh, points=places[mesh.name]))
         else:
-            corners = own[held_on.mesh][held_on.corners]
+            corners = places[held_on.mesh][held_on.corners]
             placed = np.einsum("nk,nkc->nc", held_on.shares, corners) + held_on.offsets
             meshes.append(replace(mesh, points=placed))
-    joints = replace(parts.skeleton, bind_transforms=skeleton(points).bind_transforms)
-    joints = replace(joints, rest_transforms=skeleton(points).rest_transforms)
-    whole = replace(parts, meshes=tuple(meshes), skeleton=joints)
+    own = rig.skeleton(skeleton(points))
+    joints = replace(parts.skeleton, bind_transforms=own.bind_transforms, rest_transforms=own.rest_transforms)
+    whole = rig.turned(replace(parts, meshes=tuple(meshes), skeleton=joints))
     fitted = with_own_lids(whole, points)
     skin, before = fitted.meshes[0], parts.meshes[0]
     for number, mesh in enumerate(whole.meshes):
@@ -124,8 +127,9 @@ def bones(count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("posed", [False, True])
-def test_vertices_are_those_of_the_rig(folder: Path, posed: bool) -> None:
-    parts = of_person(folder)
+@pytest.mark.parametrize("person", ["me.fpb", "blend.fpb"])
+def test_vertices_are_those_of_the_rig(folder: Path, person: str, posed: bool) -> None:
+    parts = of_person(folder, person)
     words = [f"{name}={value}" for name, value in WEIGHTS.items()]
     coefficients = None
     if posed:
@@ -134,10 +138,10 @@ def test_vertices_are_those_of_the_rig(folder: Path, posed: bool) -> None:
         (folder / "pose.fpb").write_bytes(encode(pose).data)
         coefficients = coefficients.astype(np.float32).astype(np.float64)
         words += ["--pose", str(folder / "pose.fpb")]
-        with_pose = replace(decode_person((folder / "me.fpb").read_bytes(), "me"), coefficients=encode(pose).data)
+        with_pose = replace(decode_person((folder / person).read_bytes(), "me"), coefficients=encode(pose).data)
         (folder / "posed.fpb").write_bytes(encode_person(with_pose))
     expected = 0.01 * build(parts).evaluate(WEIGHTS, coefficients=coefficients)
-    vertices = shown(folder, "--weights", *words)
+    vertices = shown(folder, "--weights", *words, person=person)
     away = _MM * np.abs(vertices - expected[rows_of(folder / "head.glb", parts)])
     assert away.max() < 1e-3
     if posed:

@@ -53,6 +53,11 @@ def _head(points: np.ndarray, within: float) -> bytes:
     return encode_points(head_basis(), points, within=within)[0]
 
 
+def with_rig(payload: bytes) -> bytes:
+    """A payload with that rig."""
+    return encode_person(replace(decode_person(payload, "me"), rig=RIG))
+
+
 def _square() -> bytes:
     square = basis("square")
     return encode_points(square, square.mean + np.sin(square.mean), within=0.05)[0]
@@ -63,10 +68,7 @@ PEOPLE: Mapping[str, tuple[str, Callable[[], bytes]]] = {  # which basis, and th
     "drawn with points": ("head", lambda: _head(drawn(), 0.5)),
     "blended": ("head", lambda: _head(blended(), 0.3)),
     "placed": ("head", lambda: _head(placed(), 50.0)),
-    "blended with its rig": (
-        "head",
-        lambda: encode_person(replace(decode_person(_head(blended(), 0.3), "me"), rig=RIG)),
-    ),
+    "blended with a rig": ("head", lambda: with_rig(_head(blended(), 0.3))),
     "studio": ("studio", lambda: encode_points(basis("studio"), whole_points(made(1)), within=0.05)[0]),
     "square": ("square", _square),
 }

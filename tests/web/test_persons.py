@@ -15,6 +15,7 @@ from browser import DRAWN, READY, Step, browse, run, until
 from faces import tiny_face
 from import_data import shared
 from places import REPOSITORY
+from rebuilt_people import with_rig
 
 import facepipe
 from facepipe.geometry.polygons import point_normals, point_triangles
@@ -57,8 +58,12 @@ def points_of(face: Face, meshes: tuple[str, ...], values: np.ndarray) -> np.nda
 
 
 @pytest.mark.gate
-def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("rig", [False, True])
+def test_the_viewers_head_becomes_a_person(me: Path, tmp_path: Path, rig: bool) -> None:
     """Points are those of `facepipe apply-bones`, moved by shapes, lids too, joints, sliders; off, the head is back."""
+    if rig:
+        (tmp_path / "me.fpb").write_bytes(with_rig(me.read_bytes()))
+        me = tmp_path / "me.fpb"
     head, clip = tmp_path / "head.usdc", tmp_path / "clip.fpb"
     parts = make(0)
     joints = parts.skeleton.joints
