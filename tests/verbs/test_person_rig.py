@@ -225,8 +225,8 @@ def test_shapes_and_poses_of_a_blend_are_its_own(rebuilt: Path, tmp_path: Path) 
     """52 shapes and 50 poses of all joints: 0.1 mm on average, where the points are 0.07 off."""
     for seed in (1504, 1505):
         save_parts(make(seed), tmp_path / f"{seed}.usdc")
-    regions = {"eyes": (1.0, 0.0), "nose": (0.0, 1.0), "mouth": (0.5, 0.5)}
-    facepipe.blend([tmp_path / "1504.usdc", tmp_path / "1505.usdc"], out=tmp_path / "blend.usdc", weights=regions)
+    weights = {"regions": {"eyes": (1.0, 0.0), "nose": (0.0, 1.0), "mouth": (0.5, 0.5)}}
+    facepipe.blend([tmp_path / "1504.usdc", tmp_path / "1505.usdc"], out=tmp_path / "blend.usdc", weights=weights)
     shapes, poses = against_its_own(tmp_path / "blend.usdc", rebuilt / "head.usdc", tmp_path)
     assert len(shapes[True]) == 52
     assert max(shapes[True].mean(), poses[True].mean()) <= 0.1
