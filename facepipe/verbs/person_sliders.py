@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.heads.assembly import MODE, values_of
 from facepipe.heads.asset import IDENTITY_MODES
 from facepipe.parts import FaceParts, PersonBasis, Slider
+from facepipe.payload.person import decode_person, encode_person
+from facepipe.payload.person_rig import PersonRig
 from facepipe.verbs.person_basis import head_basis
 from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.person_neutral import head_person_basis, mode_moves
@@ -36,7 +38,12 @@ def shows_people(parts: FaceParts) -> bool:
 
 
 def person_sliders(
-    sliders: Sequence[Slider], points: FloatArray, *, within: float, weights: FloatArray | None = None
+    sliders: Sequence[Slider],
+    points: FloatArray,
+    *,
+    within: float,
+    weights: FloatArray | None = None,
+    rig: PersonRig | None = None,
 ) -> PersonSliders:
     """The sliders' own values of a person with points (n, 3) of the built-in head's basis, in millimetres.
 
@@ -45,6 +52,7 @@ def person_sliders(
 
     :param weights: (m,) of the identity modes; None: those that come nearest
     :param within: millimetres that a point may be off
+    :param rig: of joints and shapes, which the section has too
     """
     basis, ranges = head_basis(), {slider.name: slider for slider in sliders}
     if weights is None:
@@ -64,7 +72,7 @@ def person_sliders(
     data, layers = encode_points(basis, neutral, within=within, weights=np.zeros(0, np.float16))
     return PersonSliders(
         values=values,
-        basis=head_person_basis(data),
+        basis=head_person_basis(encode_person(replace(decode_person(data, "sliders"), rig=rig))),
         sliders_left=neutral - basis.mean,
         left=neutral - layers[-1].points,
         rows=basis.fitted,

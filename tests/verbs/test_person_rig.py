@@ -225,7 +225,7 @@ def test_shapes_and_poses_of_a_blend_are_its_own(rebuilt: Path, tmp_path: Path) 
     """52 shapes and 50 poses of all joints: 0.1 mm on average, where the points are 0.07 off."""
     for seed in (1504, 1505):
         save_parts(make(seed), tmp_path / f"{seed}.usdc")
-    weights = {"regions": {"eyes": (1.0, 0.0), "nose": (0.0, 1.0), "mouth": (0.5, 0.5)}}
+    weights = {"regions": {"eyes": [1.0, 0.0], "nose": [0.0, 1.0], "mouth": [0.5, 0.5]}}
     facepipe.blend([tmp_path / "1504.usdc", tmp_path / "1505.usdc"], out=tmp_path / "blend.usdc", weights=weights)
     shapes, poses = against_its_own(tmp_path / "blend.usdc", rebuilt / "head.usdc", tmp_path)
     assert len(shapes[True]) == 52
@@ -238,7 +238,21 @@ def test_shapes_and_poses_of_a_blend_are_its_own(rebuilt: Path, tmp_path: Path) 
 @pytest.mark.needs_scan
 def test_poses_of_a_scan_are_its_own(rebuilt: Path, tmp_path: Path) -> None:
     """As near as its points, which are 0.13 mm off."""
-    facepipe.fit_neutral(shared("scans") / "LeePerrySmith.glb", out=tmp_path / "scan.usdc")
+    facepipe.fit_neutral(shared("scans/LeePerrySmith.glb"), out=tmp_path / "scan.usdc")
     shapes, poses = against_its_own(tmp_path / "scan.usdc", rebuilt / "head.usdc", tmp_path)
     assert poses[True].mean() < shapes[True].mean() + 0.01
     assert poses[False].mean() > 2 * poses[True].mean()
+
+
+@pytest.mark.slow
+def test_sliders_of_a_person_keep_the_rig(rebuilt: Path, tmp_path: Path) -> None:
+    """Joints and shapes of a payload come with `sliders --person`, and from the face that it was made."""
+    for person in ("me.fpb", "points.usdc"):
+        out = tmp_path / f"by_{Path(person).stem}.usdc"
+        facepipe.sliders(rebuilt / "head.usdc", out=out, person=rebuilt / person)
+        found = set_face(facepipe.open(out).parts()).parts
+        own = facepipe.open(rebuilt / "points.usdc").parts()
+        turns, expected = (np.asarray(one.skeleton.bind_transforms)[:, :3, :3] for one in (found, own))
+        np.testing.assert_allclose(turns, expected, atol=1e-3)
+        jaw, expected = (evaluated(one, {"jawOpen": 1.0}) - evaluated(one, {}) for one in (found, own))
+        assert np.linalg.norm(jaw - expected, axis=1).mean() < 0.02

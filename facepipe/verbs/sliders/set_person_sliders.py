@@ -10,6 +10,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Recipe
+from facepipe.payload.person_rig import PersonRig
 from facepipe.rig import set_face
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
@@ -60,7 +61,8 @@ class SetPersonSliders:
         if not shows_people(face.parts()):
             what = "no sliders over modes of the built-in head, expected those of `facepipe sample`"
             raise InputError(face.where, what)
-        found = person_sliders(face.sliders, self._points(), within=_WITHIN_MM)
+        points, rig = self._person()
+        found = person_sliders(face.sliders, points, within=_WITHIN_MM, rig=rig)
         changed, report = SetSliders(values=found.values, reset=True, name=self.name).changed(face)
         authored = author_changes(face, replace(changed, person_basis=found.basis, recipe=recipe or changed.recipe))
         play(face, self.name)
@@ -74,16 +76,18 @@ class SetPersonSliders:
             max_mm=float(left.max()),
         )
 
-    def _points(self) -> FloatArray:
-        """(n, 3) whole points of the person, millimetres."""
+    def _person(self) -> tuple[FloatArray, PersonRig | None]:
+        """(n, 3) whole points of the person, millimetres, and its rig."""
         from facepipe.importers import read_face
         from facepipe.payload.person import decode_person
         from facepipe.verbs.bone_payload import payload_bytes
         from facepipe.verbs.person_basis import head_basis
+        from facepipe.verbs.person_rig import rig_of
         from facepipe.verbs.whole_faces import whole_points
 
         basis = head_basis()
         if self.person.suffix.lower() == ".fpb":
-            return basis.rebuilt(decode_person(payload_bytes(self.person), self.person), self.person)
-        parts = set_face(read_face(self.person).parts()).parts
-        return whole_points(basis.known(parts, str(self.person)))
+            content = decode_person(payload_bytes(self.person), self.person)
+            return basis.rebuilt(content, self.person), content.rig
+        parts = read_face(self.person).parts()
+        return whole_points(basis.known(set_face(parts).parts, str(self.person))), rig_of(parts)
