@@ -72,7 +72,7 @@ def test_a_payload_is_the_person_that_the_values_make(stage: Path) -> None:
         return basis.rebuilt(decode_person(data, "payload"), "payload")
 
     found, commands = rebuilt(live.payload(values)), rebuilt(encoded_person(parts, "person")[0])
-    assert np.linalg.norm(found - commands, axis=1).mean() < 0.02  # millimetres
+    assert np.linalg.norm(found - commands, axis=1).mean() < 0.1  # millimetres: points go by steps of one
     expected = whole_points(basis.known(set_face(parts).parts, "expected"))
     assert np.linalg.norm(found - expected, axis=1).max() < 1.02
 
