@@ -237,12 +237,6 @@ def is_head(parts: FaceParts, where: str) -> bool:
     return True
 
 
-def in_centimetres(parts: FaceParts) -> bool:
-    """Whether the built-in head is as it was made, which its lids and cards are fitted as."""
-    names = [mesh.name for mesh in parts.meshes[: len(asset().parts)]]
-    return names == list(asset().parts) and (parts.meters_per_unit, parts.up_axis) == (0.01, "Y")
-
-
 def _plain(name: str, topology: Topology, mean: FloatArray, modes: FloatArray) -> Basis:
     if not np.abs(mean).max(initial=0.0) <= _MOST:
         raise InputError(name, f"points farther than {_MOST:g} mm from the origin, expected a face")

@@ -16,8 +16,8 @@ from facepipe.parts import FaceParts, PersonBasis
 from facepipe.payload.person import decode_person
 from facepipe.verbs.author_neutral import AuthorNeutral
 from facepipe.verbs.blend.rigs import rebase_animations
-from facepipe.verbs.person_basis import Basis, head_basis, in_centimetres, is_head
-from facepipe.verbs.person_rig import RigChange, own_rests
+from facepipe.verbs.person_basis import Basis, head_basis, is_head
+from facepipe.verbs.person_rig import RigChange, in_centimetres, own_rests
 from facepipe.verbs.whole_faces import NEXT_MM, whole_points
 
 

@@ -21,7 +21,6 @@ from facepipe.payload.person_rig import LARGEST_MOVE, LARGEST_STEPS, LARGEST_TUR
 from facepipe.rig import mesh_spaces
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.trs import quaternions, rotation_matrices
-from facepipe.verbs.person_basis import in_centimetres
 
 _Shape = TypeVar("_Shape", Blendshape, Inbetween)
 
@@ -83,6 +82,12 @@ class RigChange:
             )
             meshes.append(replace(mesh, blendshapes=tuple(shapes)))
         return replace(parts, meshes=tuple(meshes))
+
+
+def in_centimetres(parts: FaceParts) -> bool:
+    """Whether the built-in head is as it was made, which its lids and cards are fitted as."""
+    names = [mesh.name for mesh in parts.meshes[: len(asset().parts)]]
+    return names == list(asset().parts) and (parts.meters_per_unit, parts.up_axis) == (0.01, "Y")
 
 
 def joint_places(basis: BasisContent, points: FloatArray) -> FloatArray:
