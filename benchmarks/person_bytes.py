@@ -39,7 +39,7 @@ from facepipe.verbs.whole_faces import in_order, whole_points
 BYTES = (830, 1300, 10_000, 14_000)
 WITHIN = 0.3
 _WARP_MM, _WIDTH_MM, _BUMPS = 3.0, 30.0, 100
-_SCAN = Path(__file__).resolve().parents[2] / "shared" / "data" / "scans" / "LeePerrySmith.glb"
+SCAN = Path(__file__).resolve().parents[2] / "shared" / "data" / "scans" / "LeePerrySmith.glb"
 _UNSEEN = 1000  # the first seed: others were looked at while this was made
 
 
@@ -133,8 +133,8 @@ def warped(count: int, folder: Path) -> Iterator[FloatArray]:
 
 def scanned(count: int, folder: Path) -> Iterator[FloatArray]:
     """One."""
-    if _SCAN.exists():
-        facepipe.fit_neutral(_SCAN, out=folder / "scan.usdc")
+    if SCAN.exists():
+        facepipe.fit_neutral(SCAN, out=folder / "scan.usdc")
         parts = facepipe.open(folder / "scan.usdc").parts()
         base = head_basis().topology.parts(head_basis().mean)
         yield whole_points(in_order(base, "the head", parts, "the scan"))

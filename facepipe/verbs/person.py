@@ -2,7 +2,8 @@
 
 The person of FACE, with what sliders and bones make of it, by the modes of a basis: those of the built-in head, of
 --database, or none where --template gives a face to start from. What modes leave of it is sent as points by levels,
-as many and as fine as --within asks for, or as --bytes allow. `facepipe apply-bones HEAD OUT` rebuilds it.
+as many and as fine as --within asks for, or as --bytes allow; of blends and scans also how joints rest and shapes turn.
+`facepipe apply-bones HEAD OUT` rebuilds it.
 
 examples:
   facepipe person anna.usdc -o anna.fpb

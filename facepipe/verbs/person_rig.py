@@ -119,8 +119,10 @@ def rig_of(parts: FaceParts) -> PersonRig | None:
     Joints count where poses are off by more than `_WORTH` on average, shapes where they turn and grow together. Both
     are the neutral's: what sliders and bones make of it moves joints with the points, as of who is drawn.
     """
+    if not in_centimetres(parts):
+        return None
     spaces = (parts.skeleton.transform, *mesh_spaces(parts)[: len(asset().parts)])
-    if not in_centimetres(parts) or not np.allclose(spaces, np.eye(4), atol=_SAME):
+    if not np.allclose(spaces, np.eye(4), atol=_SAME):
         return None
     rests, shapes = own_rests(parts), _own_shapes(parts)
     steps, move, turn = np.zeros((0, 6), np.int64), _MOVE, _TURN

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from import_data import shared
+from rebuilt_expressions import against_its_own, evaluated, pose
 from rebuilt_people import RIG, with_rig
 from scipy.spatial.transform import Rotation
 
 import facepipe
-from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.heads import make
 from facepipe.heads.assembly import LIDS
@@ -24,8 +24,7 @@ from facepipe.payload.person import BASIS, PersonContent, decode_person, encode_
 from facepipe.payload.person import RIG as KIND
 from facepipe.payload.sections import Section, pack
 from facepipe.payload.small_numbers import encode_numbers
-from facepipe.rig import build, rest_coefficients, set_face
-from facepipe.rig.conventions import ARKIT_SHAPES
+from facepipe.rig import set_face
 from facepipe.rig.identity import with_identity
 from facepipe.stage import save_parts
 from facepipe.verbs.person import encoded_person
@@ -33,8 +32,6 @@ from facepipe.verbs.person_basis import head_basis
 from facepipe.verbs.person_layers import encode_points
 from facepipe.verbs.person_rig import RigChange, rig_of
 from facepipe.verbs.whole_faces import whole_points
-
-HEAD = slice(0, asset().parts["Head"].points.stop)
 
 
 @cache
@@ -91,19 +88,6 @@ def test_a_shape_that_somebody_changed_is_no_turn_of_all() -> None:
     weaker = {"jawOpen": 0.5, "mouthSmileLeft": 1.5}
     shapes = (replace(one, offsets=weaker.get(one.name, 1.0) * one.offsets) for one in head.blendshapes)
     assert rig_of(replace(drawn(0), meshes=(replace(head, blendshapes=tuple(shapes)), *drawn(0).meshes[1:]))) is None
-
-
-def evaluated(parts: FaceParts, weights: dict[str, float], coefficients: FloatArray | None = None) -> FloatArray:
-    """(n, 3) millimetres of the head's skin."""
-    return np.asarray(10 * build(parts).evaluate(weights, coefficients=coefficients)[HEAD])
-
-
-def pose(parts: FaceParts, rng: np.random.Generator) -> FloatArray:
-    """(j, 9) up to 0.3 of the way to the bone limits."""
-    limits, rest = parts.bone_limits, rest_coefficients(len(parts.skeleton.joints))
-    assert limits is not None
-    ends = np.where(rng.random(rest.shape) < 0.5, limits.lower, limits.upper)
-    return np.asarray(rest + 0.3 * rng.random(rest.shape) * (ends - rest))
 
 
 @pytest.fixture(scope="module")
@@ -198,27 +182,6 @@ def test_a_rig_beyond_limits_is_not_written() -> None:
         encode_person(content)
 
 
-def against_its_own(face: Path, head: Path, folder: Path) -> tuple[dict[bool, FloatArray], dict[bool, FloatArray]]:
-    """Distances (k,) of 52 shapes and of 50 poses of a face from those of 10,000 bytes, with the rig and without."""
-    facepipe.person(face, out=folder / "me.fpb", most=10_000)
-    content = decode_person((folder / "me.fpb").read_bytes(), "me")
-    (folder / "bare.fpb").write_bytes(encode_person(replace(content, rig=None)))
-    own = facepipe.open(face).parts()
-    shapes, poses = dict[bool, FloatArray](), dict[bool, FloatArray]()
-    for with_own, name in ((True, "me"), (False, "bare")):
-        facepipe.apply_bones(head, folder / f"{name}.fpb", out=folder / f"{name}.usdc")
-        parts = facepipe.open(folder / f"{name}.usdc").parts()
-        rigs, rng = (build(own), build(parts)), np.random.default_rng(0)
-
-        def apart(weights: dict[str, float], coefficients: FloatArray | None = None, rigs: object = rigs) -> float:
-            one, other = (rig.evaluate(weights, coefficients=coefficients)[HEAD] for rig in rigs)  # type: ignore[attr-defined]
-            return float(10 * np.linalg.norm(one - other, axis=1).mean())
-
-        shapes[with_own] = np.array([apart({name: 1.0}) for name in ARKIT_SHAPES])
-        poses[with_own] = np.array([apart({}, pose(parts, rng)) for _ in range(50)])
-    return shapes, poses
-
-
 @pytest.mark.slow
 @pytest.mark.gate
 def test_shapes_and_poses_of_a_blend_are_its_own(rebuilt: Path, tmp_path: Path) -> None:
@@ -227,11 +190,11 @@ def test_shapes_and_poses_of_a_blend_are_its_own(rebuilt: Path, tmp_path: Path) 
         save_parts(make(seed), tmp_path / f"{seed}.usdc")
     weights = {"regions": {"eyes": [1.0, 0.0], "nose": [0.0, 1.0], "mouth": [0.5, 0.5]}}
     facepipe.blend([tmp_path / "1504.usdc", tmp_path / "1505.usdc"], out=tmp_path / "blend.usdc", weights=weights)
-    shapes, poses = against_its_own(tmp_path / "blend.usdc", rebuilt / "head.usdc", tmp_path)
-    assert len(shapes[True]) == 52
-    assert max(shapes[True].mean(), poses[True].mean()) <= 0.1
-    assert shapes[False].mean() > 0.11
-    assert poses[False].mean() > 1.0
+    found = against_its_own(tmp_path / "blend.usdc", rebuilt / "head.usdc", tmp_path)
+    assert len(found["with"].shapes) == 52
+    assert max(found["with"].shapes.mean(), found["with"].poses.mean()) <= 0.1
+    assert found["without"].shapes.mean() > 0.11
+    assert found["without"].poses.mean() > 1.0
 
 
 @pytest.mark.slow
@@ -239,9 +202,9 @@ def test_shapes_and_poses_of_a_blend_are_its_own(rebuilt: Path, tmp_path: Path) 
 def test_poses_of_a_scan_are_its_own(rebuilt: Path, tmp_path: Path) -> None:
     """As near as its points, which are 0.13 mm off."""
     facepipe.fit_neutral(shared("scans/LeePerrySmith.glb"), out=tmp_path / "scan.usdc")
-    shapes, poses = against_its_own(tmp_path / "scan.usdc", rebuilt / "head.usdc", tmp_path)
-    assert poses[True].mean() < shapes[True].mean() + 0.01
-    assert poses[False].mean() > 2 * poses[True].mean()
+    found = against_its_own(tmp_path / "scan.usdc", rebuilt / "head.usdc", tmp_path)
+    assert found["with"].poses.mean() < found["with"].rest + 0.01
+    assert found["without"].poses.mean() > 2 * found["with"].poses.mean()
 
 
 @pytest.mark.slow
