@@ -78,6 +78,16 @@ class NeuralRigs(Protocol):
         """
 
 
+class Photos(Protocol):
+    """What the wing of photos does for others."""
+
+    def find_landmarks(self, photo: Path, out: Path) -> None:
+        """Write where the landmarks of the face in a photo are, as JSON.
+
+        :raises InputError: no photo, or no or several faces in it
+        """
+
+
 class Databases(Protocol):
     """What the wing of scans does for others."""
 
@@ -130,6 +140,12 @@ def own_action(verb: str) -> Any:
 def neural_rigs() -> NeuralRigs:
     """The door of that wing."""
     door: NeuralRigs = importlib.import_module(manifest()["doors"]["neural rigs"])
+    return door
+
+
+def photos() -> Photos:
+    """The door of that wing."""
+    door: Photos = importlib.import_module(manifest()["doors"]["photos"])
     return door
 
 

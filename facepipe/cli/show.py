@@ -86,7 +86,9 @@ def progress(label: str, total: int) -> Iterator[Any]:
         if _loudness.get() == "usual" and sys.stderr.isatty():
             from tqdm import tqdm  # 0.01 s
 
-            yield shown.enter_context(tqdm(total=total, desc=label, file=sys.stderr, leave=False))
+            bar = shown.enter_context(tqdm(total=total, desc=label, file=sys.stderr, leave=False))
+            bar.show = lambda _: None  # a terminal has no pictures
+            yield bar
         else:
             yield shown.enter_context(unwatched(label, total))
     _log.debug("%s: %d step(s) in %.3f s", label, total, time.perf_counter() - start)

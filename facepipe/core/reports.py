@@ -14,6 +14,9 @@ from typing import Any, Literal, Protocol
 class Bar(Protocol):
     """Progress of one task."""
 
+    def show(self, picture: Callable[[], bytes]) -> object:
+        """How it stands, from here on: a JPEG that is drawn where somebody looks."""
+
     def update(self) -> object:
         """One step is done."""
 
@@ -29,6 +32,9 @@ def unwatched(label: str, steps: int) -> Iterator[Bar]:
 
 class _Unseen:
     """A bar that shows nothing."""
+
+    def show(self, picture: Callable[[], bytes]) -> None:
+        """How it stands."""
 
     def update(self) -> None:
         """One step is done."""

@@ -168,13 +168,22 @@ async def add_photo(
     return models.Uploaded(artefact=await _taken(request, tenant, server, PHOTO, "photo", consent))
 
 
+@router.get("/photos/{photo}/landmarks", summary="Where the landmarks of the face in a photo are")
+async def find_landmarks(
+    photo: Annotated[models.Id, Path(description="id of a photo")], tenant: Tenant, server: Server
+) -> dict[str, Any]:
+    """As `--landmarks` of `facepipe fit-photo` takes them; nothing of them is kept here."""
+    found: dict[str, Any] = await server.runner.landmarks(tenant, photo)
+    return found
+
+
 @router.post(
     "/files", summary="Send a file that fields of jobs name: a clip, a scan", status_code=201, openapi_extra=_BODY
 )
 async def add_file(
     request: Request, tenant: Tenant, server: Server, suffix: Annotated[str, Query(pattern=_SUFFIX)]
 ) -> models.Uploaded:
-    """It is deleted after an hour."""
+    """It is deleted after the job that uses it, or after an hour."""
     return models.Uploaded(artefact=await _taken(request, tenant, server, FILE, f"file{suffix.lower()}"))
 
 

@@ -63,7 +63,7 @@ def list_jobs(tenant: Tenant, server: Server) -> models.Jobs:
 
 @router.get("/jobs/{job}", summary="A job")
 def get_job(job: JobId, tenant: Tenant, server: Server) -> models.Job:
-    return models.Job(**server.jobs.job(tenant, job))
+    return models.Job(**server.runner.pictured(server.jobs.job(tenant, job)))
 
 
 @router.delete("/jobs/{job}", summary="Cancel a job; one that has ended stays as it is")
@@ -88,6 +88,7 @@ async def _events(server: Services, tenant: str, job: dict[str, Any]) -> AsyncIt
     last: dict[str, Any] = {}
     quiet = 0.0
     while True:
+        job = server.runner.pictured(job)
         if job != last:
             kind = "done" if job["state"] in ENDED else "state" if job["state"] != last.get("state") else "progress"
             yield f"event: {kind}\ndata: {models.Job(**job).model_dump_json()}\n\n"

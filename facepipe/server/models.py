@@ -66,6 +66,7 @@ class Progress(_Told):
 
     text: str
     share: float
+    picture: str | None = None  # a JPEG of how it stands, in base64
 
 
 class Job(_Told):

@@ -3,7 +3,8 @@
 A task has a folder of its own, the only one that it reads and writes. Its line is one of
 ``act VERB FIELDS OUT``, an action that is remote, its fields as JSON with paths in that folder;
 ``take FILE OUT``, a face of any file that imports;
-``derive FACE WHAT OUT``, what is made of a version, in a folder.
+``derive FACE WHAT OUT``, what is made of a version, in a folder;
+``find PHOTO OUT``, the landmarks of a photo.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.declare import from_json
-from facepipe.registry import exporter, host, manifest, own_action
+from facepipe.registry import exporter, host, manifest, own_action, photos
 from facepipe.tasks.program import Line, Outcome, main, watch
 
 # what is made of a version -> the files that are made with it
@@ -36,7 +37,7 @@ def read_line(words: Sequence[str]) -> Line:
 
     :raises InputError: no such line, or fields that the action does not take
     """
-    lines: dict[str, Callable[..., Line]] = {"act": _act, "take": _take, "derive": _derive}
+    lines: dict[str, Callable[..., Line]] = {"act": _act, "take": _take, "derive": _derive, "find": _find}
     if not words or words[0] not in lines:
         raise InputError("line", "is none of a server's")
     return lines[words[0]](*words[1:])
@@ -80,6 +81,14 @@ def _derive(face: str, what: str, out: str) -> Line:
         return Outcome()
 
     return Line(verb=what, reads=[Path(face)], writes=[Path(out)], run=run)
+
+
+def _find(photo: str, out: str) -> Line:
+    def run() -> Outcome:
+        photos().find_landmarks(Path(photo), Path(out))
+        return Outcome()
+
+    return Line(verb="find", reads=[Path(photo)], writes=[Path(out)], run=run)
 
 
 def _page(face: Path, out: Path) -> None:

@@ -120,7 +120,7 @@ class Runner:
         self._makers = Processes(_MAKING, self._setting)
         self._pool = ThreadPoolExecutor(_MAKING, "making")
         self._waiting = 0
-        self._doing: dict[str, None] = {}
+        self._doing: dict[str, str | None] = {}  # job -> its latest picture, which no row ever has
         self._engine_of()  # a cluster that can't be used is told before anything is accepted
         jobs.take_back()
         jobs.beat()
@@ -133,6 +133,11 @@ class Runner:
     def stopping(self) -> bool:
         """Whether it is being ended."""
         return self._stopping.is_set()
+
+    def pictured(self, job: dict[str, Any]) -> dict[str, Any]:
+        """A job with the picture of how it stands, where it is being done here and has one."""
+        picture = job["progress"] and self._doing.get(job["id"])
+        return job if picture is None else {**job, "progress": {**job["progress"], "picture": picture}}
 
     def wake(self) -> None:
         """There is a new job."""
@@ -167,12 +172,23 @@ class Runner:
         there = await asyncio.to_thread(self._library.artefact, tenant, version, name)
         if there is not None or name not in MADE:
             return there
+        return await self._in_turn(self._make, tenant, version, name)
+
+    async def landmarks(self, tenant: str, photo: str) -> Any:
+        """Where the landmarks of the face in a photo are; they are kept nowhere.
+
+        :raises RefusedError: no such photo, or too many wait
+        :raises FacepipeError: no face in it, or several
+        """
+        return await self._in_turn(self._find, tenant, photo)
+
+    async def _in_turn(self, do: Callable[..., T], *given: Any) -> T:
         if self._waiting >= _MOST_WAITING:
             raise AwayError("server", "is busy, expected another try later")
         self._waiting += 1
         try:
             loop = asyncio.get_running_loop()
-            return await loop.run_in_executor(self._pool, self._make, tenant, version, name)
+            return await loop.run_in_executor(self._pool, do, *given)
         finally:
             self._waiting -= 1
 
@@ -193,6 +209,15 @@ class Runner:
                 there = self._library.artefact(tenant, version, name)
         self._making.pop((version, what), None)
         return there
+
+    def _find(self, tenant: str, photo: str) -> Any:
+        with self._place(new_id()) as folder:
+            path = self._uploads.lay(tenant, photo, folder)
+            words = ["find", str(path.relative_to(folder)), "landmarks.json"]
+            record = self._asked(self._makers, folder.name, folder, words, None)
+            if record["status"] in (LOST, FAILED):
+                raise InputError("photo", _said(record, folder))
+            return json.loads((folder / words[-1]).read_bytes())
 
     def _work(self) -> None:
         while not self._stopping.is_set():
@@ -294,8 +319,10 @@ class Runner:
 
     def _told(self, job: Any) -> Told:
         def told(said: Mapping[str, Any]) -> None:
+            if "picture" in said and job.id in self._doing:
+                self._doing[job.id] = said["picture"]
             with contextlib.suppress(DatabaseError):
-                self._jobs.progress(job, said)
+                self._jobs.progress(job, {name: said[name] for name in ("text", "share")})
             self.bus.tell(job.id)
 
         return told

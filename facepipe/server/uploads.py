@@ -1,7 +1,7 @@
 """Files that wait for a job, below ``uploads/ID/`` on the machine that took them; nothing else reads them.
 
-Photos never reach a store, whose older versions could outlive them. A photo and the files of a face go with the job
-that uses them, or after an hour.
+Photos never reach a store, whose older versions could outlive them. All go with the job that uses them, or after an
+hour.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ class Uploads:
             found = rows.execute(used.where(JOB_UPLOADS.c.job == job)).all()
             waits = sa.select(JOB_UPLOADS.c.upload).join(JOBS, JOBS.c.id == JOB_UPLOADS.c.job)
             needed = set(rows.scalars(waits.where(JOBS.c.state.in_((QUEUED, RUNNING)))))
-        kinds = (FACE,) if self._retain else (FACE, PHOTO)
-        self._remove([one.id for one in found if one.id not in needed and one.kind in kinds])
+        kept = PHOTO if self._retain else None
+        self._remove([one.id for one in found if one.id not in needed and one.kind != kept])
 
     def sweep(self) -> None:
         """Remove what is too old, unless a job waits for it, and what has no row: its upload was broken off."""

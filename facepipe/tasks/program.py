@@ -7,6 +7,7 @@ key is a digest of the line, of all that it reads, and of the version: tasks of 
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import ctypes
 import errno
@@ -51,7 +52,7 @@ from facepipe.tasks.remote import StoreError
 _MOST = 40  # entries of a list or mapping in a report that is kept
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.EROFS}
 _OTHERS = ("export", "import", "validate", "apply-bones")  # commands that are no actions, and can be steps
-_BETWEEN = 0.25  # seconds, at least, between two lines of progress
+_BETWEEN, _PICTURED = 0.25, 2.0  # seconds, at least, between two lines of progress, and between two with pictures
 _GROWTH = 40.0  # MB at rest that a process may gain before it is replaced: libraries lose some (cholespy each factor)
 
 
@@ -273,8 +274,13 @@ def watch(label: str, steps: int) -> Iterator[Bar]:
 class _Bar:
     def __init__(self, label: str, steps: int, task: str, answers: IO[bytes]) -> None:
         self._label, self._steps, self._task, self._answers = label, max(1, steps), task, answers
-        self._done, self._said = 0, 0.0
+        self._done, self._said, self._pictured = 0, 0.0, 0.0
+        self._picture: Callable[[], bytes] | None = None
         self._say()
+
+    def show(self, picture: Callable[[], bytes]) -> None:
+        """How it stands."""
+        self._picture = picture
 
     def update(self) -> None:
         """One step is done."""
@@ -284,7 +290,10 @@ class _Bar:
 
     def _say(self) -> None:
         self._said = time.monotonic()
-        progress = {"text": self._label, "share": min(1.0, self._done / self._steps)}
+        progress: dict[str, Any] = {"text": self._label, "share": min(1.0, self._done / self._steps)}
+        if self._picture is not None and self._said > self._pictured + _PICTURED:
+            progress["picture"] = base64.b64encode(self._picture()).decode()
+            self._pictured = time.monotonic()  # drawing takes a while too
         self._answers.write(json.dumps({"task": self._task, "progress": progress}).encode() + b"\n")
         self._answers.flush()
 

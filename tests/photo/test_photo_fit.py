@@ -106,6 +106,23 @@ def test_results_are_in_range_and_of_the_photo() -> None:
     assert np.isfinite(view.light).all()
 
 
+def test_who_watches_sees_the_photo_with_the_fit_over_it() -> None:
+    """More and more like the photo, which is turned."""
+    own, drawn = portrait(), list[np.ndarray]()
+    image, marks = np.rot90(own.images[0]), quarter_turned(own.landmarks[0], 1, (96, 96))
+    options = PhotoFitOptions(size=96, iterations=12, rate=0.005, color=60.0)
+    fit_photos(sample(), [image], [marks], options, extractors={}, done=lambda draw: drawn.append(draw()))
+    assert len(drawn) == 12
+    corner = drawn[0].shape[:2]
+    places = [(y, x) for y in range(97 - corner[0]) for x in range(97 - corner[1])]
+    window = min(
+        (image[y : y + corner[0], x : x + corner[1]] for y, x in places),
+        key=lambda one: float(np.abs(one - drawn[-1]).mean()),
+    )
+    off = [float(np.abs(one - window).mean()) for one in drawn]
+    assert 0 < off[-1] < 0.9 * off[0]
+
+
 def test_the_same_twice() -> None:
     other = fitted(iterations=16, rate=0.005, color=60.0)
     assert usual().sliders == other.sliders

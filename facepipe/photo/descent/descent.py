@@ -94,7 +94,7 @@ def descend(
     loss: Callable[[Unknowns], dict[str, Tensor]],
     start: Unknowns,
     options: PhotoFitOptions,
-    done: Callable[[int], None] | None = None,
+    done: Callable[[Unknowns], None] | None = None,
     renew: Callable[[Unknowns], None] | None = None,
 ) -> Descent:
     """The unknowns with the least loss of all steps; sliders and expressions stay in their ranges.
@@ -135,7 +135,7 @@ def descend(
                 unknown -= rate * (change * change.new_tensor(_POSES[options.optimiser]) if name == "poses" else change)
         at.clamp()
         if done is not None:
-            done(1)
+            done(at)
     return Descent(best=best, kept=kept, history=tuple(history), stopped="iterations")
 
 

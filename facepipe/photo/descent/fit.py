@@ -21,7 +21,7 @@ from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
 from facepipe.photo.descent.landmark_rig import COUNT, dense_points, front_axes, landmark_points
 from facepipe.photo.descent.lighting import in_better_light, lit, renew_shadows
 from facepipe.photo.descent.subject import NUMBERS, FittedCamera, FittedView, PhotoFit, PoseSpace, Subject
-from facepipe.photo.descent.working_photo import WorkingPhoto
+from facepipe.photo.descent.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo.features.extractor import Extractor
 from facepipe.photo.options import PhotoFitOptions
 from facepipe.photo.renderer.face_model import FaceModel
@@ -268,7 +268,7 @@ def fit_photos(
     start: State | None = None,
     slider_sigma: float | None = None,
     mask: Mask | None = None,
-    done: Callable[[int], None] | None = None,
+    done: Callable[[Callable[[], FloatArray]], None] | None = None,
 ) -> PhotoFit:
     """The person, and the expression, camera and light of each photo.
 
@@ -287,7 +287,7 @@ def fit_photos(
         None: the usual one, and the fewer sliders are off their defaults, the likelier
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
     :param mask: tells which pixels of a photo with these landmarks are face, as shares (h, w); None: all
-    :param done: called with 1 after each step
+    :param done: called after each step with what draws the fit so far over the first photo's head, (h, w, 3) sRGB 0..1
     :raises InputError: no photo, arrays or a start that don't fit, networks of other kinds, a face without the 68
         landmarks or without sliders
     """
@@ -312,8 +312,16 @@ def fit_photos(
     model = FaceModel(parts, rig=subject.rig, drawn_only=True, largest_texture=options.size)
     loss = JointLoss(model, fit, working, networks, options)
     begin = _better_begin(loss, state, start)
-    found = fit_result(loss, descend(loss, begin, options, done, renew=partial(renew_shadows, loss)))
+    stepped = None if done is None else lambda at: done(partial(_drawn, loss, at, upright.quarters[0]))
+    found = fit_result(loss, descend(loss, begin, options, stepped, renew=partial(renew_shadows, loss)))
     return replace(found, views=upright.turned_back(found.views))
+
+
+def _drawn(loss: JointLoss, at: Unknowns, quarters: int) -> FloatArray:
+    """The first photo's head as it is fitted, turned as the photo was."""
+    with torch.no_grad():
+        image = to_srgb(loss.image(at, 0)[..., :3])
+    return np.rot90(image.numpy(), -quarters)
 
 
 def _better_begin(loss: JointLoss, state: State, start: State | None) -> Unknowns:

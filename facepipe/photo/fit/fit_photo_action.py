@@ -38,7 +38,7 @@ examples:
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,6 +50,7 @@ from facepipe.kinds import Job, StageAction, action
 from facepipe.photo.options import MODELS, LikenessOptions, PhotoFitOptions, PhotoTermOptions
 
 if TYPE_CHECKING:
+    from facepipe.core.arrays import FloatArray
     from facepipe.networks.onnx_file import Kind
     from facepipe.parts import FaceParts
     from facepipe.photo.descent.subject import PhotoFit
@@ -289,6 +290,11 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         known = [(each, slice(0, count if len(each.dense) == count else 0)) for each in marks]
         try:
             with watch("fit", self.iterations) as bar:
+
+                def stepped(draw: Callable[[], FloatArray]) -> None:
+                    bar.show(lambda: _jpeg(draw()))
+                    bar.update()
+
                 fit = fit_photos(
                     parts,
                     pixels,
@@ -300,7 +306,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
                     start=start,
                     slider_sigma=slider_sigma,
                     mask=lambda photo, points: face_mask(np.asarray(photo, np.float32), points).face,
-                    done=lambda _: bar.update(),
+                    done=stepped,
                 )
             views = zip(fit.views, marks, strict=True)
             return replace(fit, views=tuple(replace(view, pupils=each.pupils) for view, each in views))
@@ -385,6 +391,18 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         if report.beyond_limits:
             lines.append(f"beyond bone limits: {_some(report.beyond_limits)}")
         return "\n".join(lines)
+
+
+def _jpeg(image: FloatArray) -> bytes:
+    """(h, w, 3) sRGB 0..1 for somebody who watches."""
+    from io import BytesIO
+
+    import numpy as np
+    from PIL import Image
+
+    file = BytesIO()
+    Image.fromarray(np.rint(image * 255).astype(np.uint8)).save(file, "JPEG", quality=80)
+    return file.getvalue()
 
 
 def _some(names: Sequence[str]) -> str:

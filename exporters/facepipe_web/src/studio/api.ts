@@ -27,8 +27,11 @@ export interface Job {
   id: string;
   action: string;
   state: "queued" | "running" | "done" | "failed" | "cancelled";
-  progress: { text: string; share: number | null } | null;
+  /** `picture`: a JPEG of how it stands, in base64 */
+  progress: { text: string; share: number | null; picture: string | null } | null;
   error: string | null;
+  /** of one that is done: the action's own, without long lists */
+  report: { report?: { animation?: string; no_target?: Record<string, string> } } | null;
   face: string | null;
   version: number | null;
 }

@@ -60,8 +60,9 @@ const box = h("div", { class: "job", role: "status", hidden: true }, line, bar, 
 /**
  * Ask for a job and follow it to its end, with its progress on the page; null where it failed, which is said.
  * @param title what is being done, for people
+ * @param seen called with pictures of how it stands
  */
-export async function work(title: string, asked: Promise<Job>): Promise<Job | null> {
+export async function work(title: string, asked: Promise<Job>, seen: (url: string) => void = () => {}): Promise<Job | null> {
   if (!box.isConnected) document.body.append(box);
   line.textContent = title;
   bar.removeAttribute("value");
@@ -72,6 +73,7 @@ export async function work(title: string, asked: Promise<Job>): Promise<Job | nu
     return await follow(job, ({ progress, state }) => {
       line.textContent = state === "queued" ? `${title}: waits for its turn` : progress ? `${title}: ${progress.text}` : title;
       if (progress?.share != null) bar.value = progress.share;
+      if (progress?.picture) seen(`data:image/jpeg;base64,${progress.picture}`);
     });
   } catch (error) {
     sayError(error);
@@ -79,6 +81,13 @@ export async function work(title: string, asked: Promise<Job>): Promise<Job | nu
   } finally {
     box.hidden = true;
   }
+}
+
+/** Send a file that fields of a job name; its id. */
+export async function sendFile(content: Blob, suffix: string): Promise<string> {
+  const headers = { "Content-Type": "application/octet-stream" };
+  const answer = await ask(`files?${new URLSearchParams({ suffix })}`, { method: "POST", headers, body: content });
+  return ((await answer.json()) as { artefact: string }).artefact;
 }
 
 /** Take files of one face in. */
