@@ -249,7 +249,9 @@ def write_assets(
     :raises InputError: no such pose
     """
     folder.mkdir(parents=True)
-    notes = _export(parts, folder / "face.glb", pose=pose, morph_normals=True)
+    # what moves is played in the studio; of a face that has poses alone, as fits do, nothing is
+    has_clips = any(one.times is not None and len(one.times) > 1 for one in parts.animations)
+    notes = _export(parts, folder / "face.glb", pose=pose, morph_normals=True, animations=has_clips)
     if parts.sliders:
         notes += _export(parts, folder / "sliders.onnx", pose=pose, sliders=True)
     path = folder / "regions.bin"

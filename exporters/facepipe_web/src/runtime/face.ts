@@ -1,6 +1,7 @@
 /** A face in a three.js scene, driven by sliders, shape weights and bone coefficients. */
 import { type Group, Matrix4, type Mesh, Vector3 } from "three";
 import type { Basis } from "./basis";
+import { Clip, type ClipInfo } from "./clips";
 import { localMotions } from "./coefficients";
 import { FaceError } from "./errors";
 import { type Followed, followedPoints } from "./followed";
@@ -45,10 +46,13 @@ export class Face {
   readonly joints: Joints | null;
   readonly sliders: SliderInfo[];
   readonly shapes: string[];
+  /** of the GLB, those that move */
+  readonly clips: ClipInfo[];
   readonly copyright: string;
   private readonly shapeWeights = new Map<string, number>();
   private readonly followed = new Map<Basis, Map<Mesh, Followed>>();
   private motions: Matrix4[] | null = null; // of a payload, in place of those of the graph
+  private moment: { clip: Clip; seconds: number } | null = null;
   private dirty = false;
   private running: Promise<void> | null = null;
 
@@ -59,6 +63,7 @@ export class Face {
   ) {
     this.root = glb.root;
     this.meshes = glb.meshes;
+    this.clips = glb.clips.map((one) => new Clip(one, glb.root, glb.meshes)).filter(({ start, end }) => end > start);
     this.copyright = glb.copyright;
     this.joints = glb.skeleton && new Joints(glb.skeleton, glb.root);
     const metadata = network?.metadata;
@@ -90,10 +95,8 @@ export class Face {
    */
   setShapes(weights: Record<string, number>): Promise<void> {
     for (const [name, weight] of Object.entries(weights)) {
-      const place = this.shapes.indexOf(name);
-      if (place < 0) throw new FaceError("shapes", `no shape '${name}'`);
+      if (!this.shapes.includes(name)) throw new FaceError("shapes", `no shape '${name}'`);
       this.shapeWeights.set(name, finite(name, weight));
-      if (this.network) this.network.values("weights")[place] = weight;
     }
     return this.update();
   }
@@ -163,6 +166,19 @@ export class Face {
     return this.update();
   }
 
+  /**
+   * Show a moment of a clip on top of sliders, shapes and payload, until `setClip(null)`.
+   * @param name of one of `clips`
+   * @param seconds on its own clock, `start` to `end`
+   * @throws FaceError no such clip
+   */
+  setClip(name: string | null, seconds = 0): Promise<void> {
+    const clip = this.clips.find((one) => one.name === name) as Clip | undefined;
+    if (name !== null && !clip) throw new FaceError("clips", `no clip '${name}'`);
+    this.moment = clip ? { clip, seconds: finite("seconds", seconds) } : null;
+    return this.update();
+  }
+
   /** Values of all sliders as they were set last. */
   get sliderValues(): Record<string, number> {
     const values = this.network?.values("sliders");
@@ -178,7 +194,6 @@ export class Face {
   reset(): Promise<void> {
     const sliders = this.network?.values("sliders");
     this.sliders.forEach((one, i) => (sliders![i] = one.default));
-    this.network?.values("weights").fill(0);
     this.shapeWeights.clear();
     this.motions = null;
     return this.update();
@@ -213,12 +228,17 @@ export class Face {
     try {
       while (this.dirty) {
         this.dirty = false;
+        const moment = this.moment?.clip.at(this.moment.seconds);
+        const weights = new Map(this.shapeWeights);
+        for (const [name, weight] of moment?.weights ?? []) weights.set(name, (weights.get(name) ?? 0) + weight);
+        this.network?.values("weights").set(this.shapes.map((name) => weights.get(name) ?? 0));
         const found = await this.network?.run();
         if (this.motions) this.joints!.setLocals(this.motions);
         else if (found?.matrices) this.joints?.setSkinning(found.matrices);
         else this.joints?.setLocals(this.joints.rest.map(() => new Matrix4()));
         if (found?.morphs) setFromGraph(this.meshes, this.network!.metadata, found.morphs);
-        else if (!this.network) setFromShapes(this.meshes, this.shapeWeights);
+        else if (!this.network) setFromShapes(this.meshes, weights);
+        if (moment?.motions.size) this.joints?.add(moment.motions);
       }
     } finally {
       this.running = null;

@@ -1,5 +1,5 @@
 /** The GLB of a face in three.js: its meshes, and what they are called in the file. */
-import { type BufferGeometry, Group, type Mesh, type Object3D, type Skeleton, type SkinnedMesh } from "three";
+import { type AnimationClip, type BufferGeometry, Group, type Mesh, type Object3D, type Skeleton, type SkinnedMesh } from "three";
 import { MeshoptDecoder } from "three/examples/jsm/libs/meshopt_decoder.module.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { FaceError, fetched } from "./errors";
@@ -24,6 +24,7 @@ export interface LoadedGlb {
   root: Group;
   meshes: FaceMesh[];
   skeleton: Skeleton | null;
+  clips: AnimationClip[];
   copyright: string;
 }
 
@@ -69,6 +70,7 @@ export async function readGlb(url: string): Promise<LoadedGlb> {
     root,
     meshes: [...found].sort(([a], [b]) => a - b).map(([, mesh]) => mesh),
     skeleton,
+    clips: gltf.animations,
     copyright: json.asset.copyright ?? "",
   };
 }

@@ -1,4 +1,5 @@
 /** Faces of facepipe in a browser: `const face = await loadFace(glb, onnx); scene.add(face.root)`. */
+export type { ClipInfo } from "./clips";
 export { Face, type JointFacts, type SliderInfo } from "./face";
 export type { FaceMesh } from "./glb";
 export { loadFace, type LoadOptions } from "./load_face";

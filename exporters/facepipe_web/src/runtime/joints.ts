@@ -89,6 +89,18 @@ export class Joints {
     this.setLocals(moved.map((local, i) => local.premultiply(scratch.copy(this.fileRest[i]).invert())));
   }
 
+  /** @param motions of some joints, after what they do now: relative to their rest */
+  add(motions: ReadonlyMap<unknown, Matrix4>): void {
+    const locals = this.locals(this.bones.map((bone) => bone.matrix));
+    this.bones.forEach((bone, i) => {
+      const motion = motions.get(bone);
+      if (motion) locals[i].multiply(motion);
+      bone.matrix.copy(locals[i]);
+      if (this.parents[i] >= 0) bone.matrix.premultiply(this.bones[this.parents[i]].matrix);
+      bone.matrixWorldNeedsUpdate = true;
+    });
+  }
+
   /** @param locals what each joint does relative to its rest, in glTF space */
   setLocals(locals: Matrix4[]): void {
     this.bones.forEach((bone, i) => {

@@ -11,6 +11,7 @@ import { Picture } from "../viewer/scene";
 import { action, choice } from "../viewer/toolbar";
 import { ViewedFace } from "../viewer/viewed_face";
 import { ask, fileOf, type Source } from "./api";
+import { onDrop } from "./work";
 
 const STILL = 4; // pixels that a click may move: more is a turn of the head
 
@@ -20,6 +21,8 @@ export class Bench {
   other: ViewedFace | null = null;
   /** called with the region that was clicked */
   picked: (region: string) => void = () => {};
+  /** called with files that are dropped on the picture */
+  dropped: (files: File[]) => void = () => {};
   private coloring: Coloring = "material";
   private readonly legend = new Legend();
   private readonly divider: Divider;
@@ -37,6 +40,7 @@ export class Bench {
     const bar = h("div", { class: "toolbar", role: "toolbar", "aria-label": "View" }, colors, h("span", { class: "space" }), front);
     view.append(bar, this.legend.element, this.hint, ...this.divider.elements);
     this.listen();
+    onDrop(this.picture.canvas, (files) => this.dropped(files));
   }
 
   /** Load a version and show it; null where it can't be shown, or another was asked for meanwhile. */

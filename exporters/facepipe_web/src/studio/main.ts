@@ -15,7 +15,7 @@ export class Studio {
   readonly bench = new Bench(this.view);
   private readonly library = new Library(this);
   private readonly blend = new Blend(this);
-  private readonly sliders = new Sliders(this);
+  readonly sliders = new Sliders(this);
   private readonly parts: Part[] = [this.library, this.blend, this.sliders, new Photo(this)];
   private current: Part | null = null;
   private overlay: HTMLElement | null = null;

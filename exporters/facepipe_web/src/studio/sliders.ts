@@ -4,13 +4,15 @@ import { h } from "../viewer/dom";
 import { say, sayError } from "../viewer/messages";
 import { Row } from "../viewer/rows";
 import type { ViewedFace } from "../viewer/viewed_face";
+import { ClipPlayer } from "./clips";
 import { download, type Face, fileOf, get, newest, type Source } from "./api";
 import { History } from "./history";
 import type { Studio } from "./main";
-import { act, type Part, saidSaved, UndoButtons, work } from "./work";
+import { act, fileButton, type Part, saidSaved, sendFile, UndoButtons, work } from "./work";
 
 type Values = Record<string, number>;
 
+const CLIPS = ".csv,.tsv,.txt,.json,.jsonl,.usd,.usda,.usdc,.usdz,.glb,.gltf,.vrm,.fbx";
 const SPREAD = 0.35; // of the way to an end of its range, that a slider drawn by lot is off its default: still a person
 
 export class Sliders implements Part {
@@ -18,6 +20,7 @@ export class Sliders implements Part {
   private face: Face | null = null;
   private source: Source | null = null;
   private viewed: ViewedFace | null = null;
+  player: ClipPlayer | null = null;
   private values: Values = {};
   private saved: Values = {};
   private mirrored = true;
@@ -51,10 +54,13 @@ export class Sliders implements Part {
     }
     const { face } = this;
     panel.replaceChildren(h("header", {}, h("h1", {}, face.name), h("p", {}, "Loading …")));
+    this.player?.pause();
+    bench.dropped = (files) => void this.play(files[0]);
     try {
       const viewed = await bench.open(this.source!, face.name);
       if (!viewed || !this.shown) return;
       this.viewed = viewed;
+      this.player = new ClipPlayer(viewed.face, () => bench.changed());
       this.saved = { ...viewed.face.sliderValues };
       this.values = { ...this.saved };
       this.history = new History<Values>(this.values, () => this.undo.update());
@@ -67,7 +73,8 @@ export class Sliders implements Part {
 
   hide(): void {
     this.shown = false;
-    this.studio.bench.picked = () => {};
+    this.player?.pause();
+    this.studio.bench.picked = this.studio.bench.dropped = () => {};
   }
 
   private fill(): void {
@@ -97,6 +104,7 @@ export class Sliders implements Part {
     this.studio.panel.replaceChildren(
       h("header", {}, h("h1", {}, face!.name), h("p", {}, `version ${this.source!.version}`), h("div", { class: "buttons" }, ...this.undo.elements, reset)),
       h("section", { "aria-label": "Sliders" }, search, h("label", { class: "check" }, mirror, " Both sides together"), ...folds, none, ...(sliders.length ? [] : [h("p", {}, "This face has no sliders.")])),
+      h("section", { "aria-label": "Clips" }, h("h2", {}, "Clips"), this.player!.element, h("p", {}, "Drop a recording on the face, or"), h("div", { class: "buttons" }, fileButton("Choose a clip …", { accept: CLIPS }, ([file]) => void this.play(file)))),
       this.saving(),
     );
     this.studio.bench.picked = (region) => {
@@ -182,6 +190,30 @@ export class Sliders implements Part {
       this.face = face;
       this.source = { face: face.id, version: job.version };
       await this.show();
+    } catch (error) {
+      sayError(error);
+    }
+  }
+
+  /** Put a clip on the face, as its next version, and play it; sliders that were moved stay so. */
+  private async play(file: File): Promise<void> {
+    const { source, changed } = this;
+    if (!source || !this.viewed) return;
+    const [, stem, ending] = /^(.*?)(\.\w+)$/.exec(file.name) ?? [null, file.name, ".csv"];
+    const name = stem.replace(/\W/g, "_").replace(/^(?=\d)|^$/, "clip");
+    const asked = sendFile(file, ending).then((clip) => act("animate", { face: source, clip, name }, { face: source.face, from: source.version }));
+    const job = await work(`Putting ${file.name} on`, asked);
+    if (!job?.version) return;
+    try {
+      this.face = (await saidSaved(job, source))!;
+      this.source = { face: this.face.id, version: job.version };
+      await this.show();
+      if (Object.keys(changed).length) this.settle(changed);
+      const missed = Object.keys(job.report?.report?.no_target ?? {});
+      if (missed.length) say(`This face has nothing for ${missed.slice(0, 5).join(", ")}${missed.length > 5 ? " …" : ""}.`);
+      this.player!.choose(name);
+      this.player!.toggle();
+      document.body.dataset.clip = name;
     } catch (error) {
       sayError(error);
     }
