@@ -23,7 +23,7 @@ import os
 import socket
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -55,6 +55,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     parser.add_argument("--demo", action="store_true", help="in a temporary folder, with sample heads")
     parser.add_argument("--json", action="store_true", help="of token list: as JSON")
     add_options(parser, Settings, "how it is run")
+    parser.set_defaults(ready=lambda url: None)  # `facepipe view --edit` opens a browser
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -77,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             folder = _folder(arguments.words[0])
         with contextlib.suppress(KeyboardInterrupt):
-            _serve(folder, settings, demo=arguments.demo)
+            _serve(folder, settings, demo=arguments.demo, ready=arguments.ready)
     return 0
 
 
@@ -114,7 +115,7 @@ def _token(arguments: argparse.Namespace, settings: Settings) -> int:
     return 0
 
 
-def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
+def _serve(folder: Path, settings: Settings, *, demo: bool, ready: Callable[[str], object]) -> None:
     """:raises InputError: a port, folder, database or cluster that can't be used"""
     import uvicorn
 
@@ -142,8 +143,10 @@ def _serve(folder: Path, settings: Settings, *, demo: bool) -> None:
         times: Any = {"timeout_graceful_shutdown": _GRACE, "timeout_keep_alive": int(_PATIENCE)}
         config = uvicorn.Config(app, http=Connection, loop="asyncio", **own, **limits, **quiet, **times)
         _log_lines()
-        emit({}, f"{_shown(settings, listening.getsockname()[1])}  (Ctrl-C ends)", as_json=False)
+        url = _shown(settings, listening.getsockname()[1])
+        emit({}, f"{url}  (Ctrl-C ends)", as_json=False)
         sys.stdout.flush()
+        ready(url)
         uvicorn.Server(config).run(sockets=[listening])
 
 

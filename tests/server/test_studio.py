@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import json
 import zipfile
@@ -16,6 +17,7 @@ from browser import Step, browse
 from command_line import exit_code
 from faces import tiny_face
 from import_data import shared
+from PIL import Image
 from served import Served, ended, kept, saved
 from slider_faces import sample_with_sliders
 
@@ -173,6 +175,126 @@ def test_sliders_are_saved_as_a_version_whose_values_they_are(shared_server: Ser
     assert values["pinchLeft"] == values["pinchRight"] == pytest.approx(0.5)
     assert values["curved"] == pytest.approx(-0.75)
     assert {name for name, value in values.items() if value} == {"pinchLeft", "pinchRight", "curved"}
+
+
+def test_a_clip_is_dropped_on_a_face_and_played_over_its_sliders(shared_server: Served, tmp_path: Path) -> None:
+    """Any moment has the points of the stage's own rig, also with a slider moved; where it is taken off, those before."""
+    browser.chromium()
+    face = kept(shared_server.client, saved(sample_with_sliders(), tmp_path / "sample.usdc"), "Studio clip")
+    clip = tmp_path / "a take 1.csv"
+    rows = [f"{frame / 30:.4f},{0.02 * frame},{0.01 * frame},{0.005 * frame}" for frame in range(31)]
+    clip.write_text("\n".join(["Time,JawOpen,MouthSmileLeft,EyeLookInLeft", *rows]) + "\n", encoding="utf-8")
+    points = "bench.face.face.meshes.map((one) => [one.name, [...bench.face.face.points(one.name)]])"
+    now = {"run": f"(() => {{ const bench = facepipe.studio.bench; return {points}; }})()"}
+    seek = slide(".clips .row input[type=range]", 0.5)
+    slow = {"run": "new Promise((done) => setTimeout(done, 1500))"}
+    results, problems = browse(
+        f"{shared_server.url}studio.html#sliders/{face}",
+        READY,
+        {"wait": ".row[data-name=curved]"},
+        slow,
+        now,
+        {"upload": ["section[aria-label=Clips] input[type=file]", str(clip)]},
+        when("document.body.dataset.clip"),
+        {"wait": ".clips button[aria-pressed=true]"},
+        {"run": "new Promise((done) => setTimeout(done, 2500))"},  # over and over
+        {"wait": ".clips button[aria-pressed=true]"},
+        seek,
+        slow,
+        {"wait": ".clips button[aria-pressed=false]"},
+        now,
+        slide(".row[data-name=curved] input[type=range]", 0.8),
+        slow,
+        now,
+        {"run": "facepipe.studio.sliders.player.choose('talk')"},
+        seek,
+        slow,
+        now,
+        {"run": "facepipe.studio.sliders.player.choose('')"},
+        slide(".row[data-name=curved] input[type=range]", 0.0),
+        slow,
+        now,
+    )
+    assert problems == []
+    before, half, slid, talking, after = (dict(one) for one in results if isinstance(one, list))
+    played = facepipe.open(extracted(shared_server, tmp_path / "export") / face / "2" / "face.usdc")
+    height = played.head_height * played.meters_per_unit
+    for shown, clip_name, value in ((half, "a_take_1", 0.0), (slid, "a_take_1", 0.8), (talking, "talk", 0.8)):
+        off = np.abs(points_of(shown, played) - moment(played, clip_name, 0.5, {"curved": value})).max()
+        assert off < 1e-4 * height, (clip_name, value)
+    assert np.abs(points_of(half, played) - points_of(before, played)).max() > 1e-2 * height
+    np.testing.assert_allclose(points_of(after, played), points_of(before, played), atol=1e-6)
+
+
+def points_of(shown: dict[str, list[float]], face: facepipe.Face) -> np.ndarray:
+    """(n, 3) what the page has, in the order of the stage."""
+    return np.concatenate([np.array(shown[mesh.name]).reshape(-1, 3) for mesh in face.parts().meshes])
+
+
+def moment(face: facepipe.Face, clip: str, seconds: float, sliders: dict[str, float]) -> np.ndarray:
+    """(n, 3) points in metres, Y up, at a key of an animation."""
+    parts = face.parts()
+    moving = next(one for one in parts.animations if one.name == clip)
+    assert moving.times is not None
+    key = int(np.argmin(np.abs(np.asarray(moving.times) - seconds)))
+    weights = {} if moving.shape_weights is None else dict(zip(moving.shapes, moving.shape_weights[key], strict=True))
+    coefficients = np.tile([0.0] * 6 + [1.0] * 3, (len(parts.skeleton.joints), 1))
+    for number, joint in enumerate(moving.joints):
+        assert moving.coefficients is not None
+        coefficients[parts.skeleton.joints.index(joint)] = moving.coefficients[key, number]
+    points = face.evaluate(weights, coefficients=coefficients, sliders=sliders)
+    return np.asarray(points @ parts.gltf_axes[:3, :3].T)
+
+
+def test_regions_are_written_painted_and_read_back(shared_server: Served, tmp_path: Path) -> None:
+    """Each point is in the region that it was in most; one that was painted over is another's then."""
+    browser.chromium()
+    head = saved(sample_with_sliders(), tmp_path / "sample.usdc")
+    face = kept(shared_server.client, head, "Studio regions")
+    record = "globalThis.saved = []; const make = URL.createObjectURL; "
+    record += "URL.createObjectURL = (blob) => (saved.push(blob), make(blob))"
+    text = "(blob) => new Promise((done) => Object.assign(new FileReader(), "
+    text += "{ onload: (event) => done(event.target.result.split(',')[1]) }).readAsDataURL(blob))"
+    results, problems = browse(
+        f"{shared_server.url}studio.html",
+        READY,
+        *to_blend("Studio regions"),
+        when("bench.face !== null"),
+        {"run": record},
+        {"click": "text=Write map and legend"},
+        when("globalThis.saved.filter((one) => one.type !== 'image/webp').length >= 2"),
+        {"run": f"Promise.all(saved.slice(-2).map({text}))"},
+    )
+    assert problems == []
+    files = [tmp_path / "map.png", tmp_path / "legend.json"]
+    for file, content in zip(files, results[-1], strict=True):
+        file.write_bytes(base64.b64decode(content))
+    with Image.open(files[0]) as image:
+        pixels = np.array(image)
+    legend = json.loads(files[1].read_text())["regions"]
+    nose = [*bytes.fromhex(legend.pop("nose")[1:])]
+    pixels[(pixels[..., :3] == nose).all(axis=-1) & (pixels[..., 3] == 255)] = (255, 255, 255, 255)
+    Image.fromarray(pixels).save(files[0])
+    files[1].write_text(json.dumps({"regions": {**legend, "snout": "#ffffff"}}))
+    results, problems = browse(
+        f"{shared_server.url}studio.html",
+        READY,
+        *to_blend("Studio regions"),
+        when("bench.face !== null"),
+        {"upload": ["section[aria-label=Regions] input[type=file]", [str(file) for file in files]]},
+        when("document.body.dataset.regions"),
+    )
+    assert problems == []
+    assert results[-1] == f"{face}/2"
+    folder = extracted(shared_server, tmp_path / "export") / face
+    before, after = (facepipe.open(folder / number / "face.usdc").meshes[0].regions for number in ("1", "2"))
+    assert {*after} == {*before} - {"nose"} | {"snout"}
+    names = [*before]
+    shares = np.stack([before[name] for name in names])
+    sure = shares.max(axis=0) > 0.6
+    found = np.stack([after["snout" if name == "nose" else name] for name in names]).argmax(axis=0)
+    assert sure.mean() > 0.5
+    assert (found == shares.argmax(axis=0))[sure].mean() > 0.99
 
 
 def test_a_dropped_file_is_in_the_library_and_can_be_deleted(shared_server: Served, tmp_path: Path) -> None:

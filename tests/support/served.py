@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,15 @@ PATIENCE = 240.0  # seconds: machines of tests are busy
 class Served:
     """A server on a free port, until `stop` or `kill`."""
 
-    def __init__(self, folder: Path, *words: object, environment: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *words: object,
+        environment: dict[str, str] | None = None,
+        command: Sequence[str] = ("serve",),
+    ) -> None:
         self.folder, self.log = folder, folder.with_name(f"{folder.name}.log")
-        line = [sys.executable, "-m", "facepipe", "serve", str(folder), "--port", "0", *map(str, words)]
+        line = [sys.executable, "-m", "facepipe", *command, str(folder), "--port", "0", *map(str, words)]
         with self.log.open("ab") as log:
             own: Any = {"stdout": subprocess.PIPE, "stderr": log, "cwd": REPOSITORY}
             self.process = subprocess.Popen(line, env={**os.environ, **(environment or {})}, **own)

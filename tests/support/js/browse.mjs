@@ -2,7 +2,7 @@
 // usage: node browse.mjs PLAYWRIGHT CHROMIUM < request
 // request: {"url", "flags": [...], "webgpu": folder of onnxruntime-web's build for it, "before": script run before the page's own, "viewport": [width, height], "slower": times that the CPU is,
 //           "steps": [{"wait": selector} | {"click": selector} | {"press": key} | {"fill": [selector, text]} |
-//                     {"upload": [selector, file]} | {"run": expression} | {"hash": selector} | {"picture": file}]}
+//                     {"upload": [selector, file or files]} | {"run": expression} | {"hash": selector} | {"picture": file}]}
 // answer:  {"results": [one for each step], "problems": [errors and foreign requests of the page]}
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";

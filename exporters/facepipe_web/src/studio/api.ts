@@ -129,7 +129,11 @@ export async function follow(job: Job, told: (job: Job) => void): Promise<Job> {
 
 /** Let the browser save a file. */
 export async function download(path: string, name: string, init: RequestInit = {}): Promise<void> {
-  const url = URL.createObjectURL(await (await ask(path, init)).blob());
+  saveAs(await (await ask(path, init)).blob(), name);
+}
+
+export function saveAs(content: Blob, name: string): void {
+  const url = URL.createObjectURL(content);
   const link = Object.assign(document.createElement("a"), { href: url, download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(url), 60_000);

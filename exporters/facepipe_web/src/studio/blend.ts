@@ -3,11 +3,12 @@ import { css, regionColor } from "../viewer/colors";
 import { h, throttled } from "../viewer/dom";
 import { say, sayError } from "../viewer/messages";
 import { Row } from "../viewer/rows";
-import { type Face, get, newest, type Source } from "./api";
+import { type Face, get, newest, saveAs, type Source } from "./api";
 import { History } from "./history";
 import { LiveEdit, type Weights } from "./live_edit";
 import type { Studio } from "./main";
-import { act, fileButton, onDrop, type Part, saidSaved, thumbnail, UndoButtons, upload, work } from "./work";
+import { BORDER, legendOf, regionMap } from "./region_map";
+import { act, fileButton, type Part, saidSaved, sendFile, thumbnail, UndoButtons, upload, work } from "./work";
 
 interface Draft {
   sources: (Source & { name: string })[];
@@ -35,6 +36,13 @@ export class Blend implements Part {
   private readonly moved = throttled(15, () => this.live?.send(this.draft.weights));
   private readonly sources = h("ol", { class: "sources" });
   private readonly folds = h("div", { class: "folds" });
+  private readonly painting = h(
+    "section",
+    { "aria-label": "Regions", hidden: true },
+    h("h2", {}, "Regions"),
+    h("p", {}, "Those of A as a picture over its UV layout, to be painted elsewhere."),
+    h("div", { class: "buttons" }, h("button", { onclick: () => void this.writeRegions() }, "Write map and legend"), fileButton("Read a painted map …", { accept: ".png,.json", multiple: true }, (files) => void this.readRegions(files))),
+  );
   private readonly name = h("input", { type: "text", placeholder: "Name of the blend", "aria-label": "Name of the blend", maxLength: 200 });
 
   constructor(private readonly studio: Studio) {}
@@ -50,9 +58,10 @@ export class Blend implements Part {
       h("header", {}, h("h1", {}, "Blend"), h("div", { class: "buttons" }, ...this.undo.elements, h("button", { class: "quiet", onclick: () => void this.restore(structuredClone(EMPTY)) }, "Start over"))),
       h("section", { "aria-label": "Sources" }, h("h2", {}, "Sources"), this.sources, h("div", { class: "buttons" }, pick, add)),
       h("section", { "aria-label": "Weights" }, h("h2", {}, "Weights"), this.folds),
+      this.painting,
       h("section", { "aria-label": "Save" }, this.name, h("div", { class: "buttons" }, save)),
     );
-    onDrop(this.studio.bench.picture.canvas, (files) => void this.drop(files));
+    this.studio.bench.dropped = (files) => void this.drop(files);
     await this.reopen();
   }
 
@@ -60,7 +69,7 @@ export class Blend implements Part {
     this.shown = false;
     this.live?.close();
     this.live = null;
-    this.studio.bench.picked = () => {};
+    this.studio.bench.picked = this.studio.bench.dropped = () => {};
   }
 
   /** Another source, after the others. */
@@ -135,6 +144,8 @@ export class Blend implements Part {
       this.live = new LiveEdit(sources.map(({ face: id, version }) => ({ face: id, version })), {
         opened: ({ regions }) => {
           this.regions = regions;
+          const { weights } = this.draft;
+          for (const one of [weights.regions, weights.locked]) for (const region of Object.keys(one)) if (!regions.includes(region)) delete one[region];
           this.fill();
           this.moved();
         },
@@ -171,6 +182,7 @@ export class Blend implements Part {
         return h("li", {}, thumbnail(one, ""), h("span", { class: "name" }, `${LETTERS[i]} · ${one.name}`, note), remove);
       }),
     );
+    this.painting.hidden = !sources.length;
     this.rows.clear();
     this.folds.replaceChildren();
     if (sources.length < 2) return void this.folds.append(h("p", {}, "Two faces at least."));
@@ -266,6 +278,42 @@ export class Blend implements Part {
       this.keep();
     });
     return h("div", { class: "more" }, h("label", {}, caricature, " Caricature: weights from −1 to 2"), h("label", {}, "Expressions ", motion));
+  }
+
+  private async writeRegions(): Promise<void> {
+    const { face } = this.studio.bench;
+    const [{ name }] = this.draft.sources;
+    if (!face) return;
+    try {
+      saveAs(await regionMap(face), `${name}.regions.png`);
+      saveAs(legendOf(face.regionNames), `${name}.regions.json`);
+    } catch (error) {
+      sayError(error);
+    }
+  }
+
+  /** A painted map becomes the next version of the first source; without a legend its colours are as they were written. */
+  private async readRegions(files: File[]): Promise<void> {
+    const [first] = this.draft.sources;
+    const map = files.find((one) => one.name.toLowerCase().endsWith(".png"));
+    const legend = files.find((one) => one.name.toLowerCase().endsWith(".json"));
+    if (!map) return say("No map is among these files, expected a PNG, and its legend as JSON.");
+    try {
+      const { width } = await createImageBitmap(map);
+      const ids = Promise.all([sendFile(map, ".png"), sendFile(legend ?? legendOf(this.studio.bench.face!.regionNames), ".json")]);
+      const source = { face: first.face, version: first.version };
+      const footprint = Math.max(1, Math.round(BORDER * width));
+      const asked = ids.then(([png, json]) => act("regions", { face: source, map: png, legend: json, footprint }, { face: first.face, from: first.version }));
+      const job = await work("Reading the regions", asked);
+      if (!job?.version) return;
+      await saidSaved(job, source);
+      first.version = job.version;
+      this.keep();
+      await this.reopen();
+      document.body.dataset.regions = `${job.face}/${job.version}`;
+    } catch (error) {
+      sayError(error);
+    }
   }
 
   private settled(): void {
