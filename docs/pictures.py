@@ -540,7 +540,7 @@ def studio(folder: Path) -> Image.Image:
       await until(() => document.body.dataset.live === "settled");
       await until(() => [...document.querySelectorAll(".sources img")].every((one) => one.src && one.complete));
     })()"""
-    return in_studio(folder, drag)
+    return in_studio(folder, {"run": drag})
 
 
 @of_docs
@@ -560,11 +560,34 @@ def studio_sliders(folder: Path) -> Image.Image:
         for (const one of ["input", "change"]) range.dispatchEvent(new Event(one));
       }
     })()"""
-    return in_studio(folder, search)
+    return in_studio(folder, {"run": search})
 
 
-def in_studio(folder: Path, script: str) -> Image.Image:
-    """The studio of a server with two sample heads, after a script."""
+@of_docs
+def studio_library(folder: Path) -> Image.Image:
+    """The studio's page with faces that are kept."""
+    show = """(async () => {
+      await facepipe.studio.route();
+      const pictures = () => [...document.querySelectorAll(".card > img")];
+      const drawn = () => pictures().length && pictures().every((one) => one.src && one.complete);
+      while (!drawn()) await new Promise((done) => setTimeout(done, 100));
+    })()"""
+    return in_studio(folder, {"run": show}, seeds=(1, 3, 4, 7))
+
+
+@of_docs
+def studio_photo(folder: Path) -> Image.Image:
+    """The studio's page with the landmarks that were found on a photo."""
+    photo = ["#panel input[type=file] >> nth=1", str(PHOTO)]
+    go = {"run": "location.hash = '#photo'"}
+    agree = {"click": "#agreed"}
+    find = {"click": "text=Find the face"}
+    found = {"wait": "body[data-landmarks]"}
+    return in_studio(folder, go, {"upload": photo}, agree, find, found, seeds=())
+
+
+def in_studio(folder: Path, *steps: dict[str, Any], seeds: tuple[int, ...] = (1, 4)) -> Image.Image:
+    """The studio of a server with sample heads, after some steps."""
     if not build.is_built():
         build.build()
     line = [sys.executable, "-m", "facepipe", "serve", str(folder / "faces"), "--port", "0"]
@@ -575,7 +598,7 @@ def in_studio(folder: Path, script: str) -> Image.Image:
         try:
             samples = """(async () => {
               const headers = { "Content-Type": "application/json" };
-              for (const seed of [1, 3]) {
+              for (const seed of SEEDS) {
                 const fields = { seed, textures: 1024 };
                 const body = JSON.stringify({ action: "sample", name: `Sample ${seed}`, fields });
                 let job = await (await fetch("api/v1/jobs", { method: "POST", headers, body })).json();
@@ -584,11 +607,11 @@ def in_studio(folder: Path, script: str) -> Image.Image:
                   job = await (await fetch(`api/v1/jobs/${job.id}`)).json();
                 }
               }
-            })()"""
+            })()""".replace("SEEDS", str([*seeds]))
             ready = {"wait": "body[data-state=ready]"}
             still = {"run": "new Promise((done) => setTimeout(done, 3000)).then(() => document.activeElement.blur())"}
             picture = {"picture": str(folder / "page.png")}
-            browse(f"{url}studio.html", (1280, 800), [ready, {"run": samples}, {"run": script}, still, picture])
+            browse(f"{url}studio.html", (1280, 800), [ready, {"run": samples}, *steps, still, picture])
         finally:
             server.terminate()
     return Image.open(folder / "page.png")
@@ -698,7 +721,7 @@ def served(folder: Path) -> Iterator[str]:
         server.shutdown()
 
 
-def browse(url: str, size: tuple[int, int], steps: list[dict[str, str]]) -> None:
+def browse(url: str, size: tuple[int, int], steps: list[dict[str, Any]]) -> None:
     """A page in Chromium, and what is done there."""
     node, chromium = shutil.which("node"), shutil.which("chromium") or shutil.which("google-chrome")
     if node is None or chromium is None:

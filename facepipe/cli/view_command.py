@@ -51,7 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Make the files, serve, open."""
     host = registry.host(_HOST)
     if (arguments.face is None) == (arguments.edit is None):
-        raise InputError("FACE", f"{'none' if arguments.face is None else 'one'} given, expected a face or --edit FOLDER")
+        given = "none given" if arguments.face is None else "given with --edit"
+        raise InputError("FACE", f"{given}, expected a face or --edit FOLDER")
     if arguments.edit is not None:
         return _edit(arguments, options_from(arguments, host.Options).port)
     faces = [arguments.face, *([arguments.other] if arguments.other else [])]

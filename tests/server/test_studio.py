@@ -178,7 +178,7 @@ def test_sliders_are_saved_as_a_version_whose_values_they_are(shared_server: Ser
 
 
 def test_a_clip_is_dropped_on_a_face_and_played_over_its_sliders(shared_server: Served, tmp_path: Path) -> None:
-    """Any moment has the points of the stage's own rig, also with a slider moved; where it is taken off, those before."""
+    """Any moment has the points of the stage's own rig, with a slider moved too; without a clip those before."""
     browser.chromium()
     face = kept(shared_server.client, saved(sample_with_sliders(), tmp_path / "sample.usdc"), "Studio clip")
     clip = tmp_path / "a take 1.csv"

@@ -8,7 +8,7 @@ import { History } from "./history";
 import { LiveEdit, type Weights } from "./live_edit";
 import type { Studio } from "./main";
 import { BORDER, legendOf, regionMap } from "./region_map";
-import { act, fileButton, type Part, saidSaved, sendFile, thumbnail, UndoButtons, upload, work } from "./work";
+import { act, downloads, fileButton, type Part, saidSaved, sendFile, thumbnail, UndoButtons, upload, work } from "./work";
 
 interface Draft {
   sources: (Source & { name: string })[];
@@ -35,6 +35,7 @@ export class Blend implements Part {
   private readonly undo = new UndoButtons<Draft>(() => this.history, (draft) => void this.restore(draft), () => this.shown);
   private readonly moved = throttled(15, () => this.live?.send(this.draft.weights));
   private readonly sources = h("ol", { class: "sources" });
+  private readonly made = h("div", { class: "buttons" });
   private readonly folds = h("div", { class: "folds" });
   private readonly painting = h(
     "section",
@@ -59,7 +60,7 @@ export class Blend implements Part {
       h("section", { "aria-label": "Sources" }, h("h2", {}, "Sources"), this.sources, h("div", { class: "buttons" }, pick, add)),
       h("section", { "aria-label": "Weights" }, h("h2", {}, "Weights"), this.folds),
       this.painting,
-      h("section", { "aria-label": "Save" }, this.name, h("div", { class: "buttons" }, save)),
+      h("section", { "aria-label": "Save" }, this.name, h("div", { class: "buttons" }, save), this.made),
     );
     this.studio.bench.dropped = (files) => void this.drop(files);
     await this.reopen();
@@ -330,7 +331,8 @@ export class Blend implements Part {
     const fields = { sources: own, weights: { ...weights, gains: null }, ...(motion ? { motion_of: motion } : {}) };
     const job = await work(`Blending ${name}`, act("blend", fields, { name }));
     if (job) {
-      await saidSaved(job, null).catch(sayError);
+      const face = await saidSaved(job, null).catch(sayError);
+      if (face) this.made.replaceChildren(h("button", { onclick: () => void this.studio.editSliders(face) }, "Edit sliders"), ...downloads(newest(face), face.name));
       document.body.dataset.saved = `${job.face}/${job.version}`;
     }
   }

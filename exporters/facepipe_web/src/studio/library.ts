@@ -1,9 +1,9 @@
 /** The library: faces that are kept, uploads by drop, versions, two compared. */
 import { h, throttled } from "../viewer/dom";
 import { sayError } from "../viewer/messages";
-import { ask, download, type Face, fileOf, get, newest, Refusal, send, type Source } from "./api";
+import { ask, type Face, get, newest, Refusal, send, type Source } from "./api";
 import type { Studio } from "./main";
-import { fileButton, onDrop, type Part, thumbnail, upload } from "./work";
+import { downloads, fileButton, onDrop, type Part, thumbnail, upload } from "./work";
 
 const KINDS = ".usd,.usda,.usdc,.usdz,.glb,.gltf,.bin,.vrm,.fbx,.obj,.mtl,.ply,.stl,.off,.fpb,.png,.jpg";
 
@@ -73,9 +73,6 @@ export class Library implements Part {
     const source = newest(face);
     const name = h("input", { type: "text", value: face.name, "aria-label": "Name", maxLength: 200 });
     name.addEventListener("change", () => void this.rename(face, name.value.trim()));
-    const files: [string, string][] = [["face.glb", "GLB"], ["face.usdc", "USD"], ["face.fpb", "Payload"], ["face.onnx", "ONNX"]];
-    const save = ([what, text]: [string, string]) =>
-      h("button", { onclick: () => void download(fileOf(source, what), `${face.name}${what.slice(4)}`).catch(sayError) }, text);
     this.about.replaceChildren(
       h("header", {}, name, h("p", {}, `added ${face.created.slice(0, 10)}`)),
       h(
@@ -85,7 +82,7 @@ export class Library implements Part {
           h("button", { class: "main", onclick: () => void this.studio.editSliders(face) }, "Edit sliders"),
           h("button", { onclick: () => void this.studio.addToBlend(face) }, "Add to blend")),
       ),
-      h("section", { "aria-label": "Download" }, h("h2", {}, "Download"), h("div", { class: "buttons" }, ...files.map(save))),
+      h("section", { "aria-label": "Download" }, h("h2", {}, "Download"), h("div", { class: "buttons" }, ...downloads(source, face.name))),
       this.versions(face),
       h("section", { "aria-label": "Delete" }, h("button", { class: "danger", onclick: () => void this.remove(face) }, "Delete this face …")),
     );

@@ -1,7 +1,7 @@
 /** What parts of the studio share: the buttons of edits, jobs with their progress, faces chosen and dropped. */
 import { h, isTyping } from "../viewer/dom";
 import { say, sayError } from "../viewer/messages";
-import { ask, type Face, follow, get, type Job, send, type Source } from "./api";
+import { ask, download, type Face, fileOf, follow, get, type Job, send, type Source } from "./api";
 import type { History } from "./history";
 
 /** A part of the studio; at most one is shown. */
@@ -159,12 +159,20 @@ export function fileButton(text: string, properties: Record<string, unknown>, ta
   return h("span", {}, input, h("button", { onclick: () => input.click() }, text));
 }
 
+const pictures = new Map<string, Promise<string>>(); // of versions, which never change
+
 /** The picture of a version, 256 pixels. */
 export function thumbnail(source: Source, name: string): HTMLImageElement {
-  const image = h("img", { alt: name, width: 256, height: 256, loading: "lazy" });
-  ask(`faces/${source.face}/versions/${source.version}/thumbnail.png`)
-    .then((answer) => answer.blob())
-    .then((blob) => (image.src = URL.createObjectURL(blob)))
-    .catch(() => image.classList.add("none"));
+  const image = h("img", { alt: name, width: 256, height: 256 });
+  const file = fileOf(source, "thumbnail.png");
+  const url = pictures.get(file) ?? ask(file).then(async (answer) => URL.createObjectURL(await answer.blob()));
+  pictures.set(file, url);
+  url.then((found) => (image.src = found)).catch(() => pictures.delete(file)); // the next look asks again
   return image;
+}
+
+/** Buttons that save a version as the files that others read. */
+export function downloads(source: Source, name: string): HTMLElement[] {
+  const kinds = [["face.glb", "GLB"], ["face.usdc", "USD"], ["face.fpb", "Payload"], ["face.onnx", "ONNX"]];
+  return kinds.map(([what, text]) => h("button", { onclick: () => void download(fileOf(source, what), `${name}${what.slice(4)}`).catch(sayError) }, text));
 }
