@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.reading import read_json
 from facepipe.server import remote
 from facepipe.server.jobs import LOST, STOPPED, Jobs
 from facepipe.server.library import STAGE, Library, Version, new_id
@@ -42,6 +43,7 @@ _IDLE, _BEAT, _PAUSE, _AWAY = 1.0, 10.0, 1.0, 5.0  # seconds
 _ON_CLUSTER = 16  # jobs at once
 _MAKING = 2  # processes for what is made of versions
 _MOST_WAITING = 200  # for these
+_MOST_LANDMARKS = 1 << 16  # bytes of a file of them
 _log = logging.getLogger("facepipe.server")
 
 
@@ -217,7 +219,7 @@ class Runner:
             record = self._asked(self._makers, folder.name, folder, words, None)
             if record["status"] in (LOST, FAILED):
                 raise InputError("photo", _said(record, folder))
-            return json.loads((folder / words[-1]).read_bytes())
+            return read_json(folder / words[-1], _MOST_LANDMARKS)
 
     def _work(self) -> None:
         while not self._stopping.is_set():
