@@ -89,6 +89,7 @@ def create_app(services: Services, address: Address, settings: Settings) -> Fast
         openapi_url=f"{API}/openapi.json",
         docs_url=None,  # their pages load scripts of other hosts
         redoc_url=None,
+        generate_unique_id_function=lambda route: route.name,  # by which links name operations
         lifespan=lifespan,
     )
     app.state.services = services

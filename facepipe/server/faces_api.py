@@ -187,7 +187,20 @@ async def add_file(
     return models.Uploaded(artefact=await _taken(request, tenant, server, FILE, f"file{suffix.lower()}"))
 
 
-@router.get("/faces", summary="List faces, the newest first")
+_FIRST, _SECOND = ({"face": f"$response.body#/faces/{one}/id"} for one in range(2))
+_LINKS: Any = {
+    "blend two": {
+        "operationId": "add_job",
+        "requestBody": {"action": "blend", "fields": {"sources": [_FIRST, _SECOND]}},
+    },
+    "fetch one": {
+        "operationId": "get_file",
+        "parameters": {**_FIRST, "number": "$response.body#/faces/0/version", "what": "face.glb"},
+    },
+}
+
+
+@router.get("/faces", summary="List faces, the newest first", responses={200: {"links": _LINKS}})
 def list_faces(
     tenant: Tenant,
     server: Server,

@@ -24,7 +24,10 @@ JobId = Annotated[models.Id, Path(description="id of a job")]
 _LOOK, _SIGN = 2.0, 15.0  # seconds between two looks at a job, and without news before a sign that the line stands
 
 
-@router.get("/actions", summary="The actions that are done here")
+_SAMPLE = {"operationId": "add_job", "requestBody": {"action": "sample", "fields": {}}}
+
+
+@router.get("/actions", summary="The actions that are done here", responses={200: {"links": {"ask for one": _SAMPLE}}})
 def list_actions() -> models.Actions:
     known = manifest()["actions"]
     found = [

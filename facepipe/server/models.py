@@ -7,9 +7,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
 
+from facepipe.server.remote import verbs
+
 Id = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{24}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Number = Annotated[int, Field(ge=1, le=2**31 - 1)]
+Verb = Annotated[str, Field(json_schema_extra={"enum": list(verbs())})]  # others are told as missing, with 404
 Time = Annotated[
     str, BeforeValidator(lambda one: datetime.fromtimestamp(one, UTC).isoformat() if isinstance(one, float) else one)
 ]
@@ -129,7 +132,7 @@ class NewJob(_Told):
 
     model_config = ConfigDict(extra="forbid", validate_by_name=True)
 
-    action: str
+    action: Verb
     fields: dict[str, Any] = {}
     name: Name | None = None
     face: Id | None = None
@@ -141,7 +144,7 @@ class NewVersion(_Told):
 
     model_config = ConfigDict(extra="forbid", validate_by_name=True)
 
-    action: str
+    action: Verb
     fields: dict[str, Any] = {}
     base: Number = Field(alias="from")
 

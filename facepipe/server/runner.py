@@ -147,7 +147,7 @@ class Runner:
 
     def cancel(self, job: str) -> None:
         """End the process that does a job, where that is here."""
-        if job in self._doing and isinstance(self._engine, Processes):
+        if job in self._doing and self._engine is not None:
             self._engine.cancel(job)
         self._uploads.end(job)
         self.bus.tell(job)

@@ -24,6 +24,7 @@ from facepipe.tasks.child import ONE_THREAD
 PROGRAM = "facepipe.server.session_program"
 _OPENING = 300.0  # seconds: sources of other topologies take half a minute each
 _PATIENCE = 120.0  # seconds for an answer: payloads of a busy machine take so long
+_MOST_WAITING = 16  # for one session: who asks beyond that has gone before the answer would come
 
 
 class SessionError(FacepipeError):
@@ -33,9 +34,13 @@ class SessionError(FacepipeError):
 class LostError(SessionError):
     """Its process has ended."""
 
+    status = 503
+
 
 class BusyError(SessionError):
-    """All sessions are being opened or asked."""
+    """All sessions are being opened or asked, or too many wait for one."""
+
+    status = 503
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class _Session:
         self.opening, self.mb, self.used, self.lost = opening, 0.0, time.monotonic(), False
         self.opened: asyncio.Future[dict[str, Any]] = self.loop.create_future()
         self.opened.add_done_callback(lambda one: one.cancelled() or one.exception())  # nobody may wait for it any more
-        self._folder, self._lay, self._number = folder, lay, 0
+        self._folder, self._lay, self._number, self._waiting = folder, lay, 0, 0
         self._asked: asyncio.Future[Answer] | None = None
         self._later: Later | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -103,16 +108,25 @@ class _Session:
         return not self.opened.done() or self.lock.locked()
 
     async def ask(self, request: Mapping[str, Any], later: Later | None) -> Answer:
-        """:raises SessionError: it says no, or ends, or takes too long"""
-        await asyncio.wait_for(asyncio.shield(self.opened), _OPENING)
-        async with self.lock:
-            self.used = time.monotonic()
-            self._number += 1
-            self._asked, self._later = self.loop.create_future(), later
-            if self._process is None or self.lost:
-                raise LostError("session", "has ended, expected it to answer")
-            _send(self._process, {**request, "id": self._number})
-            return await asyncio.wait_for(self._asked, _PATIENCE)
+        """:raises SessionError: it says no, or ends, or takes too long, or too many ask"""
+        if self._waiting >= _MOST_WAITING:
+            raise BusyError("session", f"{_MOST_WAITING} wait for it, expected another try later")
+        self._waiting += 1
+        try:
+            await asyncio.wait_for(asyncio.shield(self.opened), _OPENING)
+            async with self.lock:
+                return await self._answer(request, later)
+        finally:
+            self._waiting -= 1
+
+    async def _answer(self, request: Mapping[str, Any], later: Later | None) -> Answer:
+        self.used = time.monotonic()
+        self._number += 1
+        self._asked, self._later = self.loop.create_future(), later
+        if self._process is None or self.lost:
+            raise LostError("session", "has ended, expected it to answer")
+        _send(self._process, {**request, "id": self._number})
+        return await asyncio.wait_for(self._asked, _PATIENCE)
 
     def end(self) -> None:
         """End the process; who waits is told."""
