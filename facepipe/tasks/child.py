@@ -8,11 +8,12 @@ import itertools
 import json
 import logging
 import queue
+import secrets
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import Any, Protocol
 
 from facepipe.core import __version__
@@ -154,6 +155,9 @@ class Engine(Protocol):
     def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done, told: Told | None = None) -> None:
         """Do a task, before those of a higher order."""
 
+    def cancel(self, task: str) -> None:
+        """End a task that is being done: it is lost."""
+
     def close(self) -> None:
         """End; what is being done is lost."""
 
@@ -207,6 +211,7 @@ class Processes:
 
 
 _children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and its setting
+_doing: dict[int, str] = {}  # thread of a worker -> the task that its process does
 
 
 class Cluster:
@@ -229,6 +234,9 @@ class Cluster:
         self._setting = dict(setting)
         self._refused: dict[str, str] = {}  # worker -> why
         self._last: tuple[str, Done] | None = None  # a task, and whom to call
+        self._told: dict[str, Told] = {}  # by task
+        self._topic = f"facepipe-{secrets.token_hex(8)}"  # of progress; topics stay on the scheduler
+        self._tell = ThreadPoolExecutor(1)  # Dask's own loop must not wait
         self._over = threading.Event()
         with contextlib.ExitStack() as ends:
             try:
@@ -245,6 +253,7 @@ class Cluster:
                     target = ends.enter_context(SSHCluster([hosts[0], *hosts], **options))
                 self._client = ends.enter_context(Client(target, timeout=_CONNECT, set_as_default=False))
                 self._client.wait_for_workers(1, timeout=_WORKERS)
+                self._client.subscribe_topic(self._topic, self._hear)
                 versions = self._on_all(_version)
                 for worker, version in versions.items():
                     if isinstance(version, ImportError | AttributeError):
@@ -261,7 +270,13 @@ class Cluster:
     def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done, told: Told | None = None) -> None:
         """Do a task, before those of a higher order."""
         self._last = request["task"], done
+        if told is not None:
+            self._told[request["task"]], request = told, {**request, "topic": self._topic}
         self._client.loop.add_callback(self._follow, request, order, done)
+
+    def cancel(self, task: str) -> None:
+        """End a task that is being done: it is lost."""
+        threading.Thread(target=self._on_all, args=(_end_task, task), daemon=True).start()
 
     def close(self) -> None:
         """End; what is being done is lost."""
@@ -272,6 +287,11 @@ class Cluster:
                 self._on_all(_end_children, self._setting)
         with contextlib.suppress(Exception):  # of a scheduler that hangs
             self._ends.close()
+
+    def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
+        _, said = event
+        if (told := self._told.get(said["task"])) is not None:
+            self._tell.submit(told, said["progress"])
 
     def _watch(self) -> None:
         """A scheduler that hangs, or has no workers and gets none, is gone too: Dask waits for it without an end."""
@@ -302,6 +322,7 @@ class Cluster:
                 break
             record = await self._answer(request, order, others)
         record.pop("worker", None)
+        self._told.pop(request["task"], None)
         warnings = [f"{worker}: {why}; its tasks go to others" for worker, why in self._refused.items()]
         done({**record, "warnings": warnings} if warnings else record)
 
@@ -344,7 +365,23 @@ def _do(request: Mapping[str, Any], setting: Mapping[str, Any]) -> Record:
         if known is not None:
             known[1].end()
         known = _children[threading.get_ident()] = dict(setting), Child(setting)
-    return {**answer(known[1], request), "worker": get_worker().address}
+    worker = get_worker()
+
+    def told(progress: Mapping[str, Any]) -> None:
+        worker.log_event(request["topic"], {"task": request["task"], "progress": dict(progress)})
+
+    _doing[threading.get_ident()] = request["task"]
+    try:
+        return {**answer(known[1], request, told if "topic" in request else None), "worker": worker.address}
+    finally:
+        del _doing[threading.get_ident()]
+
+
+def _end_task(task: str) -> None:
+    """End the process of a worker that does a task."""
+    for thread, doing in list(_doing.items()):
+        if doing == task:
+            _children[thread][1].end()
 
 
 def _end_children(setting: Mapping[str, Any]) -> None:
