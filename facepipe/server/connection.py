@@ -1,4 +1,4 @@
-"""Connections that may not keep still: who sends no whole request head in time is shut out."""
+"""Connections that may not keep still: who sends no whole request head in time, or reads nothing, is shut out."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ class Connection(H11Protocol):
         """Begin to look at the clock."""
         super().connection_made(transport)
         self._last: object = None
+        self._left = 0  # bytes that the other side had still to take
         self.loop.call_later(PATIENCE, self._look)
 
     def _look(self) -> None:
@@ -27,8 +28,12 @@ class Connection(H11Protocol):
             return
         cycle = self.cycle
         idle = cycle is None or cycle.response_complete
+        left = transport.get_write_buffer_size()
+        if left and left == self._left:  # an end in good order would wait for it to be read
+            transport.abort()
+            return
         if idle and (cycle is None or cycle is self._last):
             transport.close()
             return
-        self._last = cycle if idle else None
+        self._last, self._left = cycle if idle else None, left
         self.loop.call_later(PATIENCE, self._look)

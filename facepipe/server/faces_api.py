@@ -222,7 +222,9 @@ def rename_face(face: FaceId, new: models.NewName, tenant: Tenant, server: Serve
     return models.Face(**server.library.face(tenant, face))
 
 
-@router.delete("/faces/{face}", summary="Delete a face with all that was made of it", status_code=204)
+@router.delete(
+    "/faces/{face}", summary="Delete a face with all that was made of it", status_code=204, response_model=None
+)
 def delete_face(
     face: FaceId,
     tenant: Tenant,

@@ -137,7 +137,7 @@ def export_me(tenant: Tenant, server: Server) -> Response:
     return StreamingResponse(pieces, media_type="application/zip", background=BackgroundTask(file.close))
 
 
-@router.delete("/me", summary="Delete all that is kept of who asks, tokens too", status_code=204)
+@router.delete("/me", summary="Delete all that is kept of who asks, tokens too", status_code=204, response_model=None)
 def delete_me(tenant: Tenant, server: Server) -> None:
     for job in tenants.delete(server.library, server.uploads, tenant):
         server.runner.cancel(job)
