@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import httpx
 import pytest
 from faces import tiny_face
+from postgres import Postgres, program
 from served import Serve, Served, saved
 
 
@@ -25,6 +27,18 @@ def shared_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     served = Served(tmp_path_factory.mktemp("serve") / "state", "--processes", "1", "--rate", "10000")
     yield served
     served.stop()
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[Postgres]:
+    """PostgreSQL, where it is installed."""
+    pytest.importorskip("psycopg", reason="no psycopg")
+    if program("initdb") is None:
+        pytest.skip("no PostgreSQL")
+    with tempfile.TemporaryDirectory() as folder:  # pytest's are its user's alone
+        server = Postgres(Path(folder))
+        yield server
+        server.stop()
 
 
 @pytest.fixture
