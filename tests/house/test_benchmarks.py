@@ -218,3 +218,20 @@ def test_files_of_others_are_read_as_what_they_mean(tmp_path: Path) -> None:
     assert {verdict["outcome"] for verdict in verdicts} == {"right", "named"}
     assert len({verdict["kind"] for verdict in verdicts}) == 32
     assert "seed 1: " in printed
+
+
+@pytest.mark.slow
+def test_all_requests_of_a_load_are_planned_answered_and_fit_the_model(tmp_path: Path) -> None:
+    out, rates = tmp_path / "load.json", (4.0, 0.5, 2.0)
+    words = ("--sessions", "2", "--alone", "2", "--seconds", "4", "--requests", "40", "--clients", "2", "--no-photo")
+    run("--rates", *map(str, rates), *words, "--json", out, benchmark="serve_load.py")
+    result = json.loads(out.read_text(encoding="utf-8"))
+    assert sum(one["count"] for one in result["open"]["kinds"].values()) == round(4.0 * sum(rates))
+    assert result["open"]["errors"] == result["memory"]["errors"] == {}
+    assert result["memory"]["requests"] == 40
+    assert result["memory"]["last"]["sessions"] > 0.5 * result["session_mb"]
+    for one in (*result["alone"].values(), *result["open"]["kinds"].values()):
+        assert 0.0 < one["p50"] <= one["p95"] <= one["p99"] <= one["largest"]
+    day = run("--players", "2000", "--measured", out, "--json", tmp_path / "day.json", benchmark="serve_model.py")
+    assert "a player: " in day
+    assert json.loads((tmp_path / "day.json").read_text())["players"] == pytest.approx(2000, rel=0.1)

@@ -71,7 +71,7 @@ def test_its_steps_serve_faces_from_postgresql_and_s3(tmp_path: Path, postgres: 
     own.pop("PYTHONPATH", None)
     for line in steps("RUN"):
         if line.startswith("pip "):
-            words = line.replace("/wheels", str(tmp_path / "wheels"))
+            words = line.replace("/wheels", str(tmp_path / "wheels")).replace("--no-cache-dir", "--quiet")
             subprocess.run(["bash", "-euc", words], cwd=source, env=own, check=True)
     with s3_server.serving() as store:
         rows = f"facepipe@127.0.0.1:{postgres.port}/postgres"
