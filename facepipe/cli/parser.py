@@ -103,6 +103,8 @@ def add_options(
         if flag in parser._option_string_actions:
             continue
         settings = _settings(field)
+        if field.several:
+            settings |= _again(field, settings)
         if sparse:
             settings["default"] = argparse.SUPPRESS
             if settings.get("action") == "store_true":
@@ -128,14 +130,19 @@ def add_field(parser: argparse.ArgumentParser | argparse._ArgumentGroup, field: 
     if field.words > 1:
         settings |= {"nargs": field.words, "metavar": tuple(field.metavar.split())}
     elif field.several:
-        settings |= {"action": _Several, "type": field.word_kind, "field": field}
-        settings["help"] += "; may be given again"
+        settings |= _again(field, settings)
         settings |= {"nargs": "+"} if field.words else {}
     parser.add_argument(field.shown, **settings)
     if field.default in (None, (), {}) and field.kept and not isinstance(field.default, bool):
         nothing = f"--no-{field.shown.removeprefix('--')}"
         hidden: dict[str, Any] = {**absent, "help": argparse.SUPPRESS}
         parser.add_argument(nothing, action="store_const", const=field.default, **hidden)
+
+
+def _again(field: Field, settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a flag that is given again."""
+    told = f"{settings['help']}; may be given again"
+    return {"action": _Several, "type": field.word_kind, "field": field, "help": told}
 
 
 class _Several(argparse.Action):

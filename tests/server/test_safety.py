@@ -102,6 +102,17 @@ def test_only_its_own_pages_are_answered(client: httpx.Client) -> None:
     assert "default-src 'self'" in answer.headers["content-security-policy"]
 
 
+def test_behind_a_proxy_it_answers_to_the_names_that_browsers_use(serve: Serve, tmp_path: Path) -> None:
+    """Each that was given; and whoever comes so needs a token."""
+    word = token(tmp_path / "state", "add", "ada")
+    names = ("faces.example.com", "faces.example.org:8443")
+    served = serve(*[one for name in names for one in ("--origin", f"https://{name}")])
+    for name in (*names, "faces.example.net"):
+        head = {"Host": name, "Origin": f"https://{name}", "Authorization": f"Bearer {word}"}
+        assert served.client.get("/api/v1/faces", headers=head).status_code == (200 if name in names else 403), name
+    assert served.client.get("/api/v1/faces", headers={"Host": names[0]}).status_code == 401
+
+
 def test_a_websocket_of_another_site_is_refused(client: httpx.Client) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
