@@ -103,7 +103,7 @@ def add_options(
         if flag in parser._option_string_actions:
             continue
         settings = _settings(field)
-        if field.several:
+        if field.several and field.parse is None:
             settings |= _again(field, settings)
         if sparse:
             settings["default"] = argparse.SUPPRESS
