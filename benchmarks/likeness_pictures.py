@@ -99,8 +99,7 @@ class PicturedPerson:
         """:param head: (m, 3) points of that head"""
         self.parts, self.view = face.parts(), face.photos[0]
         assert self.view.animation is not None
-        transforms, weights = face.sample(self.view.animation)
-        self.posed = face.evaluate(weights, joint_transforms=transforms)
+        self.posed = face.evaluate(pose=self.view.animation)
         self.neutral = neutral = face.evaluate(pose="set")
         if head is not None:
             placed = fit_similarity(head[:NARROW], neutral[:NARROW]).apply(head)
