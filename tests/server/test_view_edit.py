@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from browser import built
 from command_line import Capsys, failed
 from faces import tiny_face
 from served import Serve, kept, saved
@@ -16,6 +17,7 @@ EDIT = ("view", "--edit")
 
 def test_the_browser_opens_the_studio_of_a_folder(serve: Serve, tmp_path: Path) -> None:
     """What is kept there is kept for `facepipe serve`."""
+    built()
     opened, browser = tmp_path / "opened.txt", tmp_path / "browser.py"
     browser.write_text(f"import sys; open({str(opened)!r}, 'w').write(sys.argv[1])\n", encoding="utf-8")
     edit = serve(command=EDIT, environment={"BROWSER": f"{sys.executable} {browser} %s"})
