@@ -186,10 +186,11 @@ def test_it_stops_below_a_threshold() -> None:
     assert (at_once.best.shares == start().shares).all()
 
 
-def test_every_step_is_counted_and_none_is_made_without_iterations() -> None:
-    counted: list[int] = []
-    descend(bowl, start(), PhotoFitOptions(iterations=7), counted.append)
-    assert counted == [1] * 7
+def test_every_step_is_told_and_none_is_made_without_iterations() -> None:
+    told: list[float] = []
+    found = descend(bowl, start(), PhotoFitOptions(iterations=7), lambda at: told.append(bowl(at)["total"].item()))
+    assert len(told) == 7
+    assert told[-1] == pytest.approx(found.history[-1]["total"])  # where it stands then
     still = run(bowl, iterations=0)
     assert (still.stopped, len(still.history)) == ("iterations", 1)
     for name in NAMES:
