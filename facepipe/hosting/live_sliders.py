@@ -14,11 +14,11 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import FaceParts, Slider
-from facepipe.rig import build
+from facepipe.rig import build, set_face
 from facepipe.rig.identity import with_identity
 from facepipe.rig.sliders import mode_weights, slide
 from facepipe.stage import Face, open_face
-from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import MILLIMETRES, whole_points, world_to_world
 
 if TYPE_CHECKING:
     from facepipe.payload.person_rig import PersonRig
@@ -31,8 +31,8 @@ _MM = 1e3  # of a metre
 class LiveSliders:
     """The sliders of a face stage; values that are not given are those authored there.
 
-    Modes that sliders move are added to the points. The command fits lids, joints and cards of hair to the new neutral
-    too, which takes a second: skin, eyes and teeth are the same, hair goes with the skin next to it.
+    Offsets have what modes do added. The command, and a payload as it writes one, fit lids, joints and cards of hair to
+    the new neutral too, which takes a second: skin, eyes and teeth are the same, hair goes with the skin next to it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -44,6 +44,7 @@ class LiveSliders:
         # of the authored neutral, where modes do nothing more
         self._over = tuple(replace(one, modes=()) for one in self.sliders)
         self._authored = mode_weights(self.sliders)
+        self._identified: tuple[Mapping[int, float], FaceParts] = (self._authored, parts)
 
     @cached_property
     def base(self) -> FaceParts:
@@ -75,8 +76,14 @@ class LiveSliders:
         """
         from facepipe.verbs.person import encoded_whole
 
-        whole = self._points(self._checked(values)) @ self._to_whole[:3, :3].T + self._to_whole[:3, 3]
-        return encoded_whole(self._basis, whole[self._beside.known], self._where, rig=self._own_rig)[0]
+        values = self._checked(values)
+        modes = mode_weights(self.sliders, values)
+        if modes != self._identified[0]:
+            self._identified = modes, with_identity(self.base, values)
+        own = self._identified[1]  # which takes a second, and all else a few tenths
+        sliders = tuple(replace(one, value=values.get(one.name, one.value)) for one in own.sliders)
+        whole = whole_points(self._basis.known(set_face(replace(own, sliders=sliders, person=None)).parts, self._where))
+        return encoded_whole(self._basis, whole, self._where, rig=self._own_rig)[0]
 
     def _points(self, values: Mapping[str, float]) -> FloatArray:
         """(n, 3) world points of the stage."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -413,8 +414,13 @@ class SetFace:
 
     parts: FaceParts  # its rest is the person; shapes, joints and animations play on top
     pose: str  # who that is, for reports
-    error: SetError | None  # of expressions on top; None where the person is the template
     stretch: FloatArray | None = None  # (j, 3, 3) that translations of coefficients made for the template take
+    judged: Callable[[], SetError] | None = None  # what finds `error`, which takes four times as long as all else
+
+    @cached_property
+    def error(self) -> SetError | None:
+        """Of expressions on top; None where the person is the template."""
+        return None if self.judged is None else self.judged()
 
     def carried(self, coefficients: FloatArray) -> FloatArray:
         """(..., j, 9) bone coefficients made for the template, for this face: a person's scales left the joints."""
@@ -475,7 +481,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         parts = with_identity(parts)  # the neutral that all else is on top of
     if person.is_rest:
         found = parts if parts is given else _in_neutral(parts, given, person)
-        return SetFace(parts=found, pose=person.description, error=None)
+        return SetFace(parts=found, pose=person.description)
     in_joints = pose == "set-joints"
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
@@ -517,5 +523,5 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     from facepipe.rig.set_error import Side, set_error  # a module that exports of a face as it is do without
 
     before, after = Side(rig, person.weights, person.matrices), Side(build(result), {})
-    error = set_error(before, after, stretch, parts, result)
-    return SetFace(parts=result, pose=person.description + where, error=error, stretch=stretch)
+    judged = partial(set_error, before, after, stretch, parts, result)
+    return SetFace(parts=result, pose=person.description + where, stretch=stretch, judged=judged)

@@ -138,7 +138,7 @@ class Guard:
             if scope["type"] == "http":
                 seconds = time.perf_counter() - start
                 method = scope["method"] if scope["method"] in ("GET", "POST", "PATCH", "DELETE", "HEAD") else "OTHER"
-                route = getattr(scope.get("route"), "path", "none")
+                route = getattr(scope.get("route"), "path", "none").removeprefix(API)  # which older FastAPIs have in it
                 self._metrics.add(method, route, status, seconds)
                 told = {"method": method, "route": route, "status": status, "ms": round(seconds * 1e3, 1)}
                 _log.info("request", extra={"told": told})
