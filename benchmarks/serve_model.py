@@ -47,7 +47,7 @@ class Measured:
     payload: float = 0.0055  # of a server: a kept payload
     edit: float = 0.012  # of a server: a slider edit
     photo: float = 0.05  # of a server: a photo, its job and what is asked about it
-    session_edit: float = 0.26  # of a session: sliders -> payload
+    session_edit: float = 0.5  # of a session: sliders -> payload
     session_open: float = 2.5
     fit: float = 9.8  # of a worker: docs/benchmarks.md
     server_mb: float = 110.0
