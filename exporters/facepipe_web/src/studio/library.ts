@@ -3,7 +3,7 @@ import { h, throttled } from "../viewer/dom";
 import { sayError } from "../viewer/messages";
 import { ask, type Face, get, newest, Refusal, send, type Source } from "./api";
 import type { Studio } from "./main";
-import { downloads, fileButton, onDrop, type Part, thumbnail, upload } from "./work";
+import { downloads, fileButton, forgetPictures, onDrop, type Part, thumbnail, upload } from "./work";
 
 const KINDS = ".usd,.usda,.usdc,.usdz,.glb,.gltf,.bin,.vrm,.fbx,.obj,.mtl,.ply,.stl,.off,.fpb,.png,.jpg";
 
@@ -113,6 +113,7 @@ export class Library implements Part {
 
   private async remove(face: Face): Promise<void> {
     if (!confirm(`Delete ${face.name}, all its versions and what was made of them? It can't be brought back.`)) return;
+    forgetPictures(face.id);
     try {
       await ask(`faces/${face.id}`, { method: "DELETE" }).catch(async (error: unknown) => {
         if (!(error instanceof Refusal) || error.status !== 409) throw error;

@@ -159,16 +159,34 @@ export function fileButton(text: string, properties: Record<string, unknown>, ta
   return h("span", {}, input, h("button", { onclick: () => input.click() }, text));
 }
 
-const pictures = new Map<string, Promise<string>>(); // of versions, which never change
+interface Picture {
+  readonly asking: AbortController;
+  readonly url: Promise<string>;
+}
+const pictures = new Map<string, Picture>(); // of versions, which never change
 
 /** The picture of a version, 256 pixels. */
 export function thumbnail(source: Source, name: string): HTMLImageElement {
   const image = h("img", { alt: name, width: 256, height: 256 });
   const file = fileOf(source, "thumbnail.png");
-  const url = pictures.get(file) ?? ask(file).then(async (answer) => URL.createObjectURL(await answer.blob()));
-  pictures.set(file, url);
-  url.then((found) => (image.src = found)).catch(() => pictures.delete(file)); // the next look asks again
+  let picture = pictures.get(file);
+  if (!picture) {
+    const asking = new AbortController();
+    const url = ask(file, { signal: asking.signal }).then(async (answer) => URL.createObjectURL(await answer.blob()));
+    pictures.set(file, (picture = { asking, url }));
+  }
+  picture.url.then((found) => (image.src = found)).catch(() => pictures.delete(file)); // the next look asks again
   return image;
+}
+
+/** Keep no picture of a face that goes, and ask for none. */
+export function forgetPictures(face: string): void {
+  for (const [file, { asking, url }] of pictures) {
+    if (!file.startsWith(`faces/${face}/`)) continue;
+    pictures.delete(file);
+    asking.abort(); // it may still be drawn
+    url.then(URL.revokeObjectURL).catch(() => {});
+  }
 }
 
 /** Buttons that save a version as the files that others read. */
