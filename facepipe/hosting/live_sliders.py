@@ -14,7 +14,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import FaceParts, Slider
-from facepipe.rig import build, set_face
+from facepipe.rig import Rig, build, set_points
 from facepipe.rig.identity import with_identity
 from facepipe.rig.sliders import mode_weights, slide
 from facepipe.stage import Face, open_face
@@ -44,7 +44,7 @@ class LiveSliders:
         # of the authored neutral, where modes do nothing more
         self._over = tuple(replace(one, modes=()) for one in self.sliders)
         self._authored = mode_weights(self.sliders)
-        self._identified: tuple[Mapping[int, float], FaceParts] = (self._authored, parts)
+        self._identified: tuple[Mapping[int, float], FaceParts, Rig] = (self._authored, parts, self._rig)
 
     @cached_property
     def base(self) -> FaceParts:
@@ -79,10 +79,13 @@ class LiveSliders:
         values = self._checked(values)
         modes = mode_weights(self.sliders, values)
         if modes != self._identified[0]:
-            self._identified = modes, with_identity(self.base, values)
-        own = self._identified[1]  # which takes a second, and all else a few tenths
+            parts = with_identity(self.base, values)  # which takes five times as long as all else
+            self._identified = modes, parts, build(parts)
+        _, own, rig = self._identified
         sliders = tuple(replace(one, value=values.get(one.name, one.value)) for one in own.sliders)
-        whole = whole_points(self._basis.known(set_face(replace(own, sliders=sliders, person=None)).parts, self._where))
+        whole = whole_points(
+            self._basis.known(set_points(replace(own, sliders=sliders, person=None), rig), self._where)
+        )
         return encoded_whole(self._basis, whole, self._where, rig=self._own_rig)[0]
 
     def _points(self, values: Mapping[str, float]) -> FloatArray:

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
     from facepipe.rig.plausibility import implausible
     from facepipe.rig.rig import Rig, Target, build, mesh_spaces
-    from facepipe.rig.set_person import Person, SetFace, person_of, set_face
+    from facepipe.rig.set_person import Person, SetFace, person_of, set_face, set_points
     from facepipe.rig.sliders import slide
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -30,5 +30,6 @@ __all__ = [
     "sample_transforms",
     "sample_weights",
     "set_face",
+    "set_points",
     "slide",
 ]

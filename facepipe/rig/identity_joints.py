@@ -33,11 +33,20 @@ class IdentityJoints:
         whole[: len(coefficients)] = coefficients
         linear = coefficient_matrices(whole)[:, :3, :3] - np.eye(3)
         constant = whole[:, :3] - np.einsum("jab,jb->ja", linear, self.places)
-        moved = np.zeros_like(self.points)
-        for joints, weights in zip(self.indices.T, self.weights.T, strict=True):
-            alone = np.einsum("nab,nb->na", linear[joints], self.points) + constant[joints]
-            moved += weights[:, None] * alone
-        return moved
+        # rows of a joint: what each coordinate of its points adds, and what it adds to all
+        moves = np.concatenate([linear.transpose(0, 2, 1), constant[:, None]], axis=1)
+        return np.asarray(self._shares @ moves.reshape(-1, 3))
+
+    @cached_property
+    def _shares(self) -> Any:
+        """Sparse (n, 4 j): weights times points, and weights."""
+        from scipy.sparse import csr_array
+
+        count, k = self.indices.shape
+        own = self.weights[..., None] * np.append(self.points, np.ones((count, 1)), axis=1)[:, None]
+        columns = 4 * self.indices[..., None] + np.arange(4)
+        ends = np.arange(0, 4 * k * count + 1, 4 * k)
+        return csr_array((own.ravel(), columns.ravel(), ends), (count, 4 * len(self.places)))
 
     @cached_property
     def ways(self) -> Any:

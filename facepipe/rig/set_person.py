@@ -150,8 +150,10 @@ def _posed(parts: FaceParts, name: str, description: str) -> Person:
     return Person(description=description, coefficients=coefficients, weights=sample_weights(animation))
 
 
-def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None) -> Mesh:
-    """The mesh under shape weights and then affine matrices, its shapes on top.
+def _moved_points(
+    mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None
+) -> tuple[FloatArray, FloatArray | None]:
+    """(n, 3) points of a mesh under shape weights and then affine matrices, and (n, 3, 3) how these turn what is there.
 
     :param weights: of the person, by shape
     :param moved: (n, 3, 4) matrices of the points in skeleton space at bind time; None leaves points where shapes take
@@ -163,16 +165,24 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
         if weights.get(shape.name):
             offsets = [sculpt.offsets for _, _, sculpt in shape.sculpts]
             points[shape.point_indices] += _blended(shape, weights[shape.name], offsets)
-    linear = None
-    if moved is not None and mesh.skin is not None:
-        space = np.asarray(mesh.skin.geom_bind_transform, dtype=np.float64)
-        back = inverse(space, f"{mesh.name} -> geomBindTransform")
-        whole = np.zeros((len(points), 4, 4))
-        whole[:, :3], whole[:, 3, 3] = moved, 1.0
-        # points and offsets lie before geomBindTransform B, the matrices M after it: B^-1 M B
-        whole = back @ whole @ space
-        linear = whole[:, :3, :3]
-        points = np.einsum("nij,nj->ni", linear, points) + whole[:, :3, 3]
+    if moved is None or mesh.skin is None:
+        return points, None
+    space = np.asarray(mesh.skin.geom_bind_transform, dtype=np.float64)
+    back = inverse(space, f"{mesh.name} -> geomBindTransform")
+    whole = np.zeros((len(points), 4, 4))
+    whole[:, :3], whole[:, 3, 3] = moved, 1.0
+    # points and offsets lie before geomBindTransform B, the matrices M after it: B^-1 M B
+    whole = back @ whole @ space
+    linear = whole[:, :3, :3]
+    return np.einsum("nij,nj->ni", linear, points) + whole[:, :3, 3], linear
+
+
+def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None) -> Mesh:
+    """The mesh with points as `_moved_points` has them, its shapes on top.
+
+    :raises TopologyError: a singular bind transform
+    """
+    points, linear = _moved_points(mesh, weights, moved)
     if np.array_equal(points, mesh.points) and linear is None:
         return mesh
     # (n, 3, 3) what takes normals along: the cofactor of `linear`, then the turn that the surface makes beside it
@@ -460,6 +470,44 @@ def _in_neutral(parts: FaceParts, given: FaceParts, person: Person) -> FaceParts
     )
 
 
+def _matrices(rig: Rig, parts: FaceParts, person: Person) -> FloatArray | None:
+    """(n, 3, 4) matrices of points under a person; None where it is of shapes alone: joints and offsets stay as they
+    are, which saves a pass over all of them.
+
+    :raises InputError: shapes that the face lacks, or joints of no size, at rest or with the person
+    """
+    rig.weight_vector(person.weights)  # refuses shapes that the face lacks
+    _check_sizes(rig, parts, person)
+    moved = rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
+    still = np.array_equal(person.matrices, np.broadcast_to(np.eye(4), person.matrices.shape))
+    return None if still and np.abs(moved - np.eye(4)[:3]).max(initial=0.0) < _STILL else moved
+
+
+def set_points(parts: FaceParts, rig: Rig | None = None) -> FaceParts:
+    """The face with the points that `set_face` gives its meshes, without shapes and normals, as payloads take it.
+
+    :param rig: of the face, where it is at hand and no slider moves modes
+    :raises FacepipeError: as `set_face` does
+    """
+    person = person_of(parts)
+    if mode_weights(parts.sliders):
+        from facepipe.rig.identity import with_identity
+
+        parts, rig = with_identity(parts), None
+    alone = tuple(replace(mesh, normals=None, blendshapes=()) for mesh in parts.meshes)
+    if not person.is_rest:
+        rig = rig or build(parts)
+        moved, bounds = _matrices(rig, parts, person), rig.mesh_offsets
+        found = [
+            _moved_points(mesh, person.weights, None if moved is None else moved[bounds[i] : bounds[i + 1]])[0]
+            for i, mesh in enumerate(parts.meshes)
+        ]
+        alone = tuple(
+            replace(mesh, points=points.astype(np.float32)) for mesh, points in zip(alone, found, strict=True)
+        )
+    return replace(parts, meshes=alone)
+
+
 def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     """The face with the person as its rest.
 
@@ -484,14 +532,11 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         return SetFace(parts=found, pose=person.description)
     in_joints = pose == "set-joints"
     rig = build(parts)
-    rig.weight_vector(person.weights)  # refuses shapes that the face lacks
-    _check_sizes(rig, parts, person)
+    moved = _matrices(rig, parts, person)
     skeleton, stretch = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
-    moved = None if in_joints else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
-    still = np.array_equal(person.matrices, np.broadcast_to(np.eye(4), person.matrices.shape))
-    if moved is not None and still and np.abs(moved - np.eye(4)[:3]).max(initial=0.0) < _STILL:
-        # a person of shapes alone: joints and offsets stay as they are, which saves a pass over all of them
-        skeleton, moved = parts.skeleton, None
+    if moved is None and not in_joints:
+        skeleton = parts.skeleton
+    moved = None if in_joints else moved
     bounds = rig.mesh_offsets
     # poses of photos hold the person, which is taken off them; a pose that is the person itself is left out. All others
     # are expressions already.

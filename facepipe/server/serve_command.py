@@ -171,7 +171,8 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
     where = f"--host {settings.host} --port {settings.port}"
     try:
         family, kind, _, _, place = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(family, kind)
+        # asyncio sends at once from sockets that say so alone; others hold an answer's end back for 40 ms
+        listening = socket.socket(family, kind, socket.IPPROTO_TCP)
     except (OSError, UnicodeError) as error:
         raise InputError(where, f"is no address here ({getattr(error, 'strerror', error)})") from None
     with listening:

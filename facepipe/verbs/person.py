@@ -170,13 +170,13 @@ def encoded_person(
     :param more: of `PersonContent`, what goes with the shape
     :raises InputError: a face without a basis, or fewer bytes than the person takes
     """
-    from facepipe.rig import set_face
+    from facepipe.rig import set_points
     from facepipe.verbs.person_basis import basis_of, head_basis
     from facepipe.verbs.person_rig import rig_of
     from facepipe.verbs.whole_faces import whole_points
 
     basis = basis_of(parts, where, template=template, database=database)
-    points = whole_points(basis.known(set_face(parts).parts, where))
+    points = whole_points(basis.known(set_points(parts), where))
     rig = rig_of(parts) if basis is head_basis() else None
     return encoded_whole(basis, points, where, rig=rig, within=within, most=most, more=more)
 

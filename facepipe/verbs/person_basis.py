@@ -130,13 +130,14 @@ class Basis:
         if rests > count:
             raise InputError(f"{where} -> rig", f"{rests} joints, expected at most the {count} of its basis")
 
-    def rebuilt(self, content: PersonContent, where: object) -> FloatArray:
+    def rebuilt(self, content: PersonContent, where: object, shaped: FloatArray | None = None) -> FloatArray:
         """(n, 3) points of a person.
 
+        :param shaped: (n, 3) what `shaped` gives of the content's modes, where it is at hand
         :raises InputError: as `check`, or points that are not the basis's
         """
         self.check(content, where)
-        points, mean = self.shaped(content.modes), self.mean
+        points, mean = self.shaped(content.modes) if shaped is None else shaped.copy(), self.mean
         if self.joints is not None and len(content.joints):
             points[self.joints.rows] += self.joints.offsets(coefficients_of_steps(content.joints, content.step))
         if content.placement is not None:

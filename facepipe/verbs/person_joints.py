@@ -30,12 +30,13 @@ class JointFit:
         self._mean = mean[self._rows]
         self._modes = modes[:, self._rows].reshape(len(modes), -1).astype(np.float64)
         self._ways = joints.ways[(3 * self._seen[:, None] + np.arange(3)).ravel()]
-        blocks = [self._modes @ self._modes.T, (self._ways.T @ self._ways).toarray()]
+        squares = [self._modes @ self._modes.T, (self._ways.T @ self._ways).toarray()]
         across = (self._ways.T @ self._modes.T).T
-        ridges = [ridge * block.diagonal().mean() for ridge, block in zip(_RIDGES, blocks, strict=True)]
-        self._ridge = np.repeat(ridges, [len(block) for block in blocks])
-        whole = np.block([[blocks[0], across], [across.T, blocks[1]]]) + np.diag(self._ridge)
-        self._both, self._alone = np.linalg.inv(whole), np.linalg.inv(blocks[0] + ridges[0] * np.eye(len(modes)))
+        ridges = [ridge * block.diagonal().mean() for ridge, block in zip(_RIDGES, squares, strict=True)]
+        self._ridge = np.repeat(ridges, [len(block) for block in squares])
+        self._squares = np.block([[squares[0], across], [across.T, squares[1]]])
+        self._both = np.linalg.inv(self._squares + np.diag(self._ridge))
+        self._alone = np.linalg.inv(squares[0] + ridges[0] * np.eye(len(modes)))
 
     def nearest(self, points: FloatArray) -> FloatArray:
         """(j, 9) coefficients of the joints that come nearest to points (n, 3) with the modes, in millimetres.
@@ -43,11 +44,13 @@ class JointFit:
         :param points: where the mean is
         """
         count = len(self._modes)
-        wanted = (points[self._rows] - self._mean).ravel()
+        wanted = self._slopes((points[self._rows] - self._mean).ravel())
         found = np.zeros(len(self._ridge))
-        for _ in range(_ROUNDS):
-            left = wanted - found[:count] @ self._modes - self._moved(found[count:].reshape(-1, 9), 1.0)
-            slope = np.concatenate([self._modes @ left, self._ways.T @ left]) - self._ridge * found
+        for number in range(_ROUNDS):
+            slope = wanted - self._ridge * found
+            if number:  # what modes leave, less how joints have moved by now
+                alone = np.where(np.arange(len(found)) < count, found, 0.0)
+                slope -= self._squares @ alone + self._slopes(self._moved(found[count:].reshape(-1, 9), 1.0))
             found = found + self._both @ slope
         return found[count:].reshape(-1, 9)
 
@@ -58,6 +61,10 @@ class JointFit:
         steps = np.clip(steps, -LARGEST_STEPS, LARGEST_STEPS)
         wanted = (points[self._rows] - self._mean).ravel()
         return self._alone @ (self._modes @ (wanted - self._moved(steps, step))), steps
+
+    def _slopes(self, offsets: FloatArray) -> FloatArray:
+        """(k + 9 j,) how squares of offsets (3 m,) fall by modes and channels of joints, by half."""
+        return np.concatenate([self._modes @ offsets, self._ways.T @ offsets])
 
     def _moved(self, steps: FloatArray | IntArray, size: float) -> FloatArray:
         """(3 m,) how joints move the points that count."""

@@ -53,12 +53,13 @@ def encode_points(
     layers: list[PersonLayer] = []
 
     def add(name: str, changed: PersonContent, shown: FloatArray | None = None) -> PersonContent:
-        shown = basis.rebuilt(changed, name) if shown is None else shown
+        shown = basis.rebuilt(changed, name, shaped if len(changed.modes) else None) if shown is None else shown
         layers.append(PersonLayer(name=name, bytes=len(encode_person(changed)), points=shown))
         return changed
 
     given = weights is not None
     weights, placement = (weights, None) if weights is not None else basis.mode_fit.placed(points)
+    shaped = basis.shaped(weights)
     if placement is not None:
         content = add("placement", replace(content, placement=placement))
     if len(weights):
@@ -127,10 +128,11 @@ def _with_joints(
             break
     if best is None:
         return None
-    near = basis.rebuilt(best, "joints")
+    shaped = basis.shaped(best.modes)
+    near = basis.rebuilt(best, "joints", shaped)
     if basis.rigid:
         best = replace(best, parts=_parts(basis, best, near, points))
-        near = basis.rebuilt(best, "joints")
+        near = basis.rebuilt(best, "joints", shaped)
 
     def left(found: FloatArray) -> float:
         return float(np.linalg.norm(found - points, axis=1)[basis.fitted].mean())

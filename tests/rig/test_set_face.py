@@ -39,6 +39,7 @@ from facepipe.rig import (
     sample_transforms,
     sample_weights,
     set_face,
+    set_points,
     slide,
 )
 from facepipe.rig.set_error import SameMotion, Side, apart, apart_with_sliders, random_poses
@@ -108,6 +109,20 @@ def test_rest_is_the_person(sample: FaceParts, how: str) -> None:
     assert worst(build(parts).evaluate(), expected) > 0.1  # stage units: the person is another one
     assert found.pose.startswith("set by sliders ")
     assert person_of(found.parts).is_rest  # nothing is set on it twice
+
+
+@pytest.mark.parametrize("values", [{}, {"noseWidth": 0.5, "jawWidth": -0.4}, {"browShape1": 0.7, "noseWidth": 0.2}])
+def test_points_alone_are_those_of_the_set_face(values: dict[str, float]) -> None:
+    """Bit for bit, since payloads are made of them."""
+    parts = with_values(heads.make(3), values)
+    known = {slider.name for slider in parts.sliders}
+    assert {*values} <= known
+    found, expected = set_points(parts), set_face(parts).parts
+    for one, other in zip(found.meshes, expected.meshes, strict=True):
+        assert one.points.dtype == other.points.dtype
+        np.testing.assert_array_equal(one.points, other.points, one.name)
+    moved = [np.abs(one.points - other.points).max() for one, other in zip(found.meshes, parts.meshes, strict=True)]
+    assert (max(moved) > 0) == bool(values)
 
 
 @pytest.mark.parametrize("parts", [with_person(tiny_face()), with_person(make(3))], ids=["tiny", "sample"])

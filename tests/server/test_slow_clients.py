@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import time
@@ -17,6 +18,9 @@ import pytest
 from served import Serve, Served, kept, saved, sent
 from small_sources import made
 from websockets.sync.client import connect
+
+from facepipe.server.serve_command import _listening
+from facepipe.server.settings import Settings
 
 HEAD = b"Host: %s\r\nX-Facepipe-Consent: 1\r\n"
 PATIENCE = 200.0  # seconds; a server waits for 30
@@ -38,6 +42,25 @@ def until(holds: Callable[[], bool]) -> None:
     while not holds():
         assert time.monotonic() - start < PATIENCE
         time.sleep(0.1)
+
+
+def test_an_end_of_an_answer_does_not_wait_for_who_reads_its_start() -> None:
+    """Between two writes Nagle's algorithm waits for an acknowledgement, which others hold back for 40 ms."""
+    told = []
+
+    def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        told.append(writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+        writer.close()
+
+    async def served() -> None:
+        with _listening(Settings(port=0)) as listening:
+            async with await asyncio.start_server(connected, sock=listening):
+                reader, writer = await asyncio.open_connection(*listening.getsockname())
+                await reader.read()
+                writer.close()
+
+    asyncio.run(served())
+    assert told[0]
 
 
 @pytest.mark.slow
