@@ -32,7 +32,7 @@ class LiveSliders:
     """The sliders of a face stage; values that are not given are those authored there.
 
     Offsets have what modes do added. The command, and a payload as it writes one, fit lids, joints and cards of hair to
-    the new neutral too, which takes a second: skin, eyes and teeth are the same, hair goes with the skin next to it.
+    the new neutral too, half a second: skin, eyes and teeth are the same, hair goes with the skin next to it.
     """
 
     def __init__(self, path: Path) -> None:

@@ -51,15 +51,21 @@ class BitWriter:
         self._out = bytearray()
 
     def bit(self, context: int, bit: int) -> None:
-        """Write a bit of a context."""
-        bound = _split(self._span, self._contexts.likely[context])
+        """Write a bit of a context: `_split` and `learn` in place, as in `zeros`; calls take as long again."""
+        likely, shifts = self._contexts.likely, self._contexts.shifts
+        chance, shift = likely[context], shifts[context]
+        bound = (self._span >> _BITS) * (chance >> (16 - _BITS) or 1)
         if bit:
             self._low += bound
             self._span -= bound
+            likely[context] = chance - (chance >> shift)
         else:
             self._span = bound
-        self._contexts.learn(context, bit)
-        self._normalise()
+            likely[context] = chance + ((_ONE - 1 - chance) >> shift)
+        if shift < _SLOWEST:
+            shifts[context] = shift + 1
+        if self._span < _TOP:
+            self._normalise()
 
     def zeros(self, contexts: list[int]) -> None:
         """Write a 0 of each context, as `bit` does: most points stay, and a call each would take four times as long."""

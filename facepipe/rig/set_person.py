@@ -494,18 +494,17 @@ def set_points(parts: FaceParts, rig: Rig | None = None) -> FaceParts:
         from facepipe.rig.identity import with_identity
 
         parts, rig = with_identity(parts), None
-    alone = tuple(replace(mesh, normals=None, blendshapes=()) for mesh in parts.meshes)
+    moved, ends = None, np.cumsum([len(mesh.points) for mesh in parts.meshes]).tolist()
     if not person.is_rest:
-        rig = rig or build(parts)
-        moved, bounds = _matrices(rig, parts, person), rig.mesh_offsets
-        found = [
-            _moved_points(mesh, person.weights, None if moved is None else moved[bounds[i] : bounds[i + 1]])[0]
-            for i, mesh in enumerate(parts.meshes)
-        ]
-        alone = tuple(
-            replace(mesh, points=points.astype(np.float32)) for mesh, points in zip(alone, found, strict=True)
-        )
-    return replace(parts, meshes=alone)
+        moved = _matrices(rig or build(parts), parts, person)
+    meshes = []
+    for mesh, end in zip(parts.meshes, ends, strict=True):
+        own = None if moved is None else moved[end - len(mesh.points) : end]
+        points, linear = _moved_points(mesh, person.weights, own)
+        still = linear is None and np.array_equal(points, mesh.points)
+        points = mesh.points if still else points.astype(np.float32)
+        meshes.append(replace(mesh, points=points, normals=None, blendshapes=()))
+    return replace(parts, meshes=tuple(meshes))
 
 
 def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
