@@ -98,7 +98,7 @@ class ModeFit:
             middle=middle,
             across=across,
             rotation=(U * signs) @ Vt,
-            scale=strength / spread,
+            scale=strength / spread if strength > _ROUNDING * spread else 1.0,  # of a face that is one point
             strength=strength,
         )
 

@@ -414,3 +414,11 @@ def test_bytes_under_a_sound_crc_are_refused_or_make_a_face_in_bounds(kind: int)
         assert np.isfinite(points).all()
         assert np.abs(points).max() < 1e6
     assert made > 20, "that all were refused says nothing of what is made of them"
+
+
+def test_a_face_that_is_one_point_has_finite_modes() -> None:
+    basis = head_basis()
+    for place in (0.0, 1000.0):
+        weights, placement = basis.mode_fit.placed(np.full(basis.mean.shape, place))
+        assert np.isfinite(weights).all()
+        assert placement is None or np.isfinite(placement).all()
