@@ -53,6 +53,7 @@ constexpr double kRoundedTurn = 1.002;    // squares of a half turn in float16
 constexpr double kFinerSteps = 1.15;      // of each coarser level
 constexpr std::size_t kRings = 13, kMargin = 4;  // of lids, and the last one of the margin
 constexpr std::size_t kWays = 7;                 // shapes of lids, eyeLookDown at a half among them
+constexpr std::size_t kBands = 16;               // of directions, by their y from -1 to 1
 
 struct Mesh {
   std::string name;
@@ -96,7 +97,8 @@ struct LidEye {
   double centre[3];                          // of the mean's eyeball, millimetres
   std::vector<double> balls, stretches;      // of each slider: what the eyeball and the lids' joints do
   std::vector<double> ends, ways;              // of each slider, and of kWays shapes, x y z of each point of lids
-  std::vector<std::array<double, 4>> outside;  // of the shell: direction from the centre, millimetres; by y
+  // of the shell in bands of y, by x: direction from the centre, millimetres
+  std::array<std::vector<std::array<double, 4>>, kBands> outside;
 };
 
 // What blinks, looks and squints are fitted by; without rings there is none of it.
@@ -163,6 +165,11 @@ struct LidShape {
 };
 
 namespace detail {
+
+// The band of a direction with that y.
+inline std::size_t band_of(double y) {
+  return y > -1 ? std::min(static_cast<std::size_t>((y + 1) * (kBands / 2)), kBands - 1) : 0;
+}
 
 inline std::uint32_t crc32(const std::uint8_t* data, std::size_t size) {
   static const std::array<std::uint32_t, 256> table = [] {
@@ -786,9 +793,11 @@ class BasisReader {
         square += way[axis] * way[axis];
       }
       const double length = std::max(std::sqrt(square), 1e-9);
-      eye.outside.push_back({way[0] / length, way[1] / length, way[2] / length, length});
+      eye.outside[band_of(way[1] / length)].push_back(
+          {way[0] / length, way[1] / length, way[2] / length, length});
     }
-    std::stable_sort(eye.outside.begin(), eye.outside.end(), [](const auto& a, const auto& b) { return a[1] < b[1]; });
+    for (auto& band : eye.outside)
+      std::stable_sort(band.begin(), band.end(), [](const auto& a, const auto& b) { return a[0] < b[0]; });
   }
 
   std::string where_;
@@ -1432,22 +1441,33 @@ class EyeFit {
 
   // How far the mean's eyeball reaches in a direction: the mean of the nearest three points of its outside.
   double reach(const Vector& way) const {
-    const auto& points = eye_.outside;
     double best[3] = {HUGE_VAL, HUGE_VAL, HUGE_VAL}, radii[3] = {};
     const auto take = [&](const std::array<double, 4>& point) {  // whether nearer ones may follow
-      const double high = point[1] - way[1];
-      if (!(high * high < best[2])) return false;
-      const double x = point[0] - way[0], z = point[2] - way[2], square = high * high + x * x + z * z;
+      const double x = point[0] - way[0];
+      if (!(x * x < best[2])) return false;
+      const double y = point[1] - way[1], z = point[2] - way[2], square = x * x + y * y + z * z;
       if (!(square < best[2])) return true;
       int rank = 2;
       for (; rank && square < best[rank - 1]; --rank) best[rank] = best[rank - 1], radii[rank] = radii[rank - 1];
       best[rank] = square, radii[rank] = point[3];
       return true;
     };
-    const auto start = std::lower_bound(points.begin(), points.end(), way[1],
-                                        [](const std::array<double, 4>& point, double y) { return point[1] < y; });
-    for (auto up = start; up != points.end() && take(*up);) ++up;
-    for (auto down = start; down != points.begin() && take(*(down - 1));) --down;
+    // the direction's band, then one above, one below ... until none on either side can have nearer ones
+    const int own = static_cast<int>(band_of(way[1])), all = static_cast<int>(kBands);
+    for (int number = 0, shut = 0; number < 2 * all && shut < 2; ++number) {
+      const int band = number % 2 ? own + (number + 1) / 2 : own - number / 2;
+      const double edge = 2.0 * (number % 2 ? band : band + 1) / all - 1, apart = number ? edge - way[1] : 0;
+      if (band < 0 || band >= all || !(apart * apart < best[2])) {
+        ++shut;
+        continue;
+      }
+      shut = 0;
+      const auto& points = eye_.outside[static_cast<std::size_t>(band)];
+      const auto start = std::lower_bound(points.begin(), points.end(), way[0],
+                                          [](const std::array<double, 4>& point, double x) { return point[0] < x; });
+      for (auto up = start; up != points.end() && take(*up);) ++up;
+      for (auto down = start; down != points.begin() && take(*(down - 1));) --down;
+    }
     double sum = 0, total = 0;
     for (int i = 0; i < 3; ++i) {
       const double weight = 1 / (std::sqrt(best[i]) + 1e-3);

@@ -76,7 +76,7 @@ namespace Facepipe
         public double[] Centre; // of the mean's eyeball
         public double[] Balls, Stretches; // of each slider: what the eyeball and the lids' joints do
         public double[] Ends, Ways; // of each slider, and of each shape, x y z of each point of lids
-        public double[] Outside; // of the shell, by y: direction from the centre, length
+        public double[][] Outside; // of the shell in bands of y, by x: direction from the centre, length
     }
 
     /// <summary>What blinks, looks and squints are fitted by.</summary>
@@ -136,10 +136,17 @@ namespace Facepipe
         public const int Body = 1 << 28, Points = 1 << 20, Grid = 1000000; // bytes, points, places in a millimetre
         public const int Sections = 64, Modes = 4096, Parts = 16, Whole = 64;
         public const int Rings = 13, Margin = 4, Ways = 7; // of lids, the margin's last, shapes and one at a half
+        public const int Bands = 16; // of directions, by their y from -1 to 1
         public const int Steps = 127, Full = 255; // of a number of joints, and of a point's weights in sum
         public const double Step = 10, Farthest = 1e5; // millimetres, of identity joints
         public const double Angle = 0.1; // radians of a step, of how joints rest
         public const double Weight = 100, Move = 1e4, Growth = 3, Turn = 1.002; // half turns round in float16
+
+        /// <summary>The band of a direction with that y.</summary>
+        public static int BandOf(double y)
+        {
+            return y > -1 ? Math.Min((int)((y + 1) * (Bands / 2)), Bands - 1) : 0;
+        }
     }
 
     struct Section
@@ -1113,9 +1120,15 @@ namespace Facepipe
                 for (int axis = 0; axis < 3; axis++) way[axis] /= way[3];
                 ways[i] = way;
             }
-            Array.Sort(ways, (a, b) => a[1].CompareTo(b[1]));
-            eye.Outside = new double[4 * outside];
-            for (int i = 0; i < outside; i++) Array.Copy(ways[i], 0, eye.Outside, 4 * i, 4);
+            Array.Sort(ways, (a, b) => a[0].CompareTo(b[0]));
+            eye.Outside = new double[Limits.Bands][];
+            for (int band = 0; band < Limits.Bands; band++)
+            {
+                var own = new List<double>();
+                foreach (double[] way in ways)
+                    if (Limits.BandOf(way[1]) == band) own.AddRange(way);
+                eye.Outside[band] = own.ToArray();
+            }
             return eye;
         }
 
@@ -1298,40 +1311,53 @@ namespace Facepipe
         // How far the mean's eyeball reaches along `way`: the mean of the nearest three points of its outside.
         double Reach()
         {
-            double[] outside = eye.Outside;
             double x = way[0], y = way[1], z = way[2];
-            int low = 0, high = outside.Length / 4;
-            while (low < high)
-            {
-                int half = (low + high) / 2;
-                if (outside[4 * half + 1] < y) low = half + 1;
-                else high = half;
-            }
+            int own = Limits.BandOf(y);
             double a = double.PositiveInfinity, b = a, c = a, p = 0, q = 0, r = 0;
-            for (int step = 4; step >= -4; step -= 8) // up first, then down
-                for (int at = step > 0 ? 4 * low : 4 * low - 4; at >= 0 && at < outside.Length; at += step)
+            // the direction's band, then one above, one below ... until none on either side can have nearer ones
+            for (int number = 0, shut = 0; number < 2 * Limits.Bands && shut < 2; number++)
+            {
+                int band = number % 2 > 0 ? own + (number + 1) / 2 : own - number / 2;
+                double apart = number > 0 ? 2.0 * (number % 2 > 0 ? band : band + 1) / Limits.Bands - 1 - y : 0;
+                if (band < 0 || band >= Limits.Bands || !(apart * apart < c))
                 {
-                    double dy = outside[at + 1] - y;
-                    if (!(dy * dy < c)) break;
-                    double dx = outside[at] - x, dz = outside[at + 2] - z, square = dy * dy + dx * dx + dz * dz;
-                    if (!(square < c)) continue;
-                    if (square < b)
-                    {
-                        c = b;
-                        r = q;
-                        bool first = square < a;
-                        b = first ? a : square;
-                        q = first ? p : outside[at + 3];
-                        if (!first) continue;
-                        a = square;
-                        p = outside[at + 3];
-                    }
-                    else
-                    {
-                        c = square;
-                        r = outside[at + 3];
-                    }
+                    shut++;
+                    continue;
                 }
+                shut = 0;
+                double[] outside = eye.Outside[band];
+                int low = 0, high = outside.Length / 4;
+                while (low < high)
+                {
+                    int half = (low + high) / 2;
+                    if (outside[4 * half] < x) low = half + 1;
+                    else high = half;
+                }
+                for (int step = 4; step >= -4; step -= 8) // up first, then down
+                    for (int at = step > 0 ? 4 * low : 4 * low - 4; at >= 0 && at < outside.Length; at += step)
+                    {
+                        double dx = outside[at] - x;
+                        if (!(dx * dx < c)) break;
+                        double dy = outside[at + 1] - y, dz = outside[at + 2] - z, square = dx * dx + dy * dy + dz * dz;
+                        if (!(square < c)) continue;
+                        if (square < b)
+                        {
+                            c = b;
+                            r = q;
+                            bool first = square < a;
+                            b = first ? a : square;
+                            q = first ? p : outside[at + 3];
+                            if (!first) continue;
+                            a = square;
+                            p = outside[at + 3];
+                        }
+                        else
+                        {
+                            c = square;
+                            r = outside[at + 3];
+                        }
+                    }
+            }
             double u = 1 / (Math.Sqrt(a) + 1e-3), v = 1 / (Math.Sqrt(b) + 1e-3), w = 1 / (Math.Sqrt(c) + 1e-3);
             return (u * p + v * q + w * r) / (u + v + w);
         }

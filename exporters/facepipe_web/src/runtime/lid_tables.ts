@@ -21,8 +21,8 @@ export interface LidEye {
   ends: Float64Array;
   /** the same of WAYS shapes */
   ways: Float64Array;
-  /** of the eyeball's outside, by y: direction from the centre, millimetres */
-  outside: Float64Array;
+  /** of the eyeball's outside in bands of y, by x: direction from the centre, millimetres */
+  outside: Float64Array[];
 }
 
 export interface LidTables {
@@ -45,6 +45,7 @@ export interface LidTables {
 
 export const RINGS = 13;
 export const MARGIN = 4; // the last ring of it
+export const BANDS = 16; // of directions, by their y from -1 to 1
 const WAYS = 7;
 const MOST_CELLS = 1024;
 const NEAREST = 3; // points that say how far an eyeball reaches
@@ -95,8 +96,14 @@ function readEye(bytes: Bytes, count: number, sliders: number, mean: Float64Arra
     const length = Math.max(Math.hypot(...way), 1e-9);
     return [...way.map((one) => one / length), length];
   });
-  const sorted = Float64Array.from(outside.sort((a, b) => a[1] - b[1]).flat());
-  return { lids, ball, joints: own, shares, centre, balls, stretches, ends, ways, outside: sorted };
+  outside.sort((a, b) => a[0] - b[0]);
+  const bands = Array.from({ length: BANDS }, (_, band) => Float64Array.from(outside.filter((way) => bandOf(way[1]) === band).flat()));
+  return { lids, ball, joints: own, shares, centre, balls, stretches, ends, ways, outside: bands };
+}
+
+/** The band of a direction with that y. */
+export function bandOf(y: number): number {
+  return y > -1 ? Math.min(((y + 1) * (BANDS / 2)) | 0, BANDS - 1) : 0;
 }
 
 /** Sums of `count` numbers one after another, `times` times, in millimetres. */

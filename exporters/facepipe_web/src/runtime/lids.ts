@@ -1,7 +1,7 @@
 /** Blinks, looks and squints that fit a person's eyeballs: docs/files.md, "Lids". */
 import type { Basis } from "./basis";
 import { FaceError } from "./errors";
-import { type LidEye, type LidTables, MARGIN, RINGS } from "./lid_tables";
+import { BANDS, bandOf, type LidEye, type LidTables, MARGIN, RINGS } from "./lid_tables";
 import { jointPlaces, type Person } from "./person";
 
 /** A shape at a weight: 1 the last, below it inbetweens. */
@@ -80,6 +80,8 @@ class EyeFit {
   private readonly average: Float64Array;
   private readonly count: number;
   private readonly farthest: number;
+  private readonly over: Float64Array;
+  private readonly overAtEnds: Float64Array;
   private readonly heights: number[];
   private centre: Vector;
   private scale = 1;
@@ -99,6 +101,7 @@ class EyeFit {
     const mean = (row: number, axis: number) => (axis ? 1 : mirror) * basis.mean[axis * basis.count + row];
     [this.own, this.mean] = [spreadOf(ball, own), spreadOf(ball, mean)];
     this.count = eye.lids.length;
+    [this.over, this.overAtEnds] = [OVER, OVER_AT_ENDS].map((least) => Float64Array.from(tables.rings, (ring) => least[ring]));
     [this.lids, this.average] = [own, mean].map((of) => Float64Array.from({ length: 3 * this.count }, (_, i) => of(eye.lids[(i / 3) | 0], i % 3)));
     this.heights = eye.joints.map((joint) => heights[joint]);
     this.farthest = tables.reach.reduce((most, one) => Math.max(most, one), -Infinity);
@@ -124,20 +127,20 @@ class EyeFit {
     this.centre = this.own.middle.map((one, i) => one - this.scale * (this.mean.middle[i] - this.eye.centre[i])) as Vector;
     const ahead = turned(0, 0);
     const squint = this.ways(SQUINT);
-    let mostOfSquint = larger(this.need(squint, ahead, OVER), this.needAtEnds(squint, ahead));
+    let mostOfSquint = larger(this.need(squint, ahead, this.over), this.needAtEnds(squint, ahead));
     const found: Float64Array[] = [];
     for (const { way, middle, turn } of LOOKS) {
       const [full, half] = [turned(turn[0], turn[1]), turned(turn[0] / 2, turn[1] / 2)];
       const own = this.ways(way);
       const between = middle ? this.ways(middle) : own.map((one) => 0.5 * one);
-      let most = larger(larger(this.need(own, ahead, OVER), this.need(own, full, OVER)), this.needAtEnds(own, full));
-      const atHalf = this.need(between, half, OVER);
+      let most = larger(larger(this.need(own, ahead, this.over), this.need(own, full, this.over)), this.needAtEnds(own, full));
+      const atHalf = this.need(between, half, this.over);
       if (!middle) most = larger(most, atHalf.map((one) => 2 * one));
       const push = this.spread(most);
       if (middle) found.push(this.out(between, this.spread(larger(atHalf, push.map((one) => 0.5 * one)))));
       const last = this.out(own, push);
       found.push(last);
-      mostOfSquint = larger(mostOfSquint, this.need(squint.map((one, i) => one + last[i]), full, OVER_AT_ENDS));
+      mostOfSquint = larger(mostOfSquint, this.need(squint.map((one, i) => one + last[i]), full, this.overAtEnds));
     }
     return [...found, this.out(squint, this.spread(mostOfSquint))];
   }
@@ -148,16 +151,10 @@ class EyeFit {
 
   /** How far the mean's eyeball reaches along `way`: the mean of the nearest three points of its outside. */
   private reach(): number {
-    const { outside } = this.eye;
     const x = this.way[0];
     const y = this.way[1];
     const z = this.way[2];
-    let low = 0;
-    for (let high = outside.length / 4; low < high; ) {
-      const middle = (low + high) >> 1;
-      if (outside[4 * middle + 1] < y) low = middle + 1;
-      else high = middle;
-    }
+    const own = bandOf(y);
     // squares of distances, the nearest first, and radii; one by one, as arrays of them are garbage by the million
     let a = Infinity;
     let b = Infinity;
@@ -165,30 +162,47 @@ class EyeFit {
     let p = 0;
     let q = 0;
     let r = 0;
-    for (let step = 4, at = 4 * low; ; at += step) {
-      const dy = at >= 0 && at < outside.length ? outside[at + 1] - y : Infinity;
-      if (!(dy * dy < c)) {
-        if (step < 0) break;
-        step = -4; // up first, then down
-        at = 4 * low;
+    // the direction's band, then one above, one below ... until none on either side can have nearer ones
+    for (let number = 0, shut = 0; number < 2 * BANDS && shut < 2; number++) {
+      const band = number & 1 ? own + ((number + 1) >> 1) : own - (number >> 1);
+      const apart = number === 0 ? 0 : number & 1 ? (2 * band) / BANDS - 1 - y : y + 1 - (2 * band + 2) / BANDS;
+      if (band < 0 || band >= BANDS || !(apart * apart < c)) {
+        shut++;
         continue;
       }
-      const dx = outside[at] - x;
-      const dz = outside[at + 2] - z;
-      const square = dy * dy + dx * dx + dz * dz;
-      if (!(square < c)) continue;
-      c = square;
-      r = outside[at + 3];
-      if (!(c < b)) continue;
-      c = b;
-      r = q;
-      b = square;
-      q = outside[at + 3];
-      if (!(b < a)) continue;
-      b = a;
-      q = p;
-      a = square;
-      p = outside[at + 3];
+      shut = 0;
+      const outside = this.eye.outside[band];
+      let low = 0;
+      for (let high = outside.length / 4; low < high; ) {
+        const middle = (low + high) >> 1;
+        if (outside[4 * middle] < x) low = middle + 1;
+        else high = middle;
+      }
+      for (let step = 4, at = 4 * low; ; at += step) {
+        const dx = at >= 0 && at < outside.length ? outside[at] - x : Infinity;
+        if (!(dx * dx < c)) {
+          if (step < 0) break;
+          step = -4; // up first, then down
+          at = 4 * low;
+          continue;
+        }
+        const dy = outside[at + 1] - y;
+        const dz = outside[at + 2] - z;
+        const square = dx * dx + dy * dy + dz * dz;
+        if (!(square < c)) continue;
+        c = square;
+        r = outside[at + 3];
+        if (!(c < b)) continue;
+        c = b;
+        r = q;
+        b = square;
+        q = outside[at + 3];
+        if (!(b < a)) continue;
+        b = a;
+        q = p;
+        a = square;
+        p = outside[at + 3];
+      }
     }
     const u = 1 / (Math.sqrt(a) + 1e-3);
     const v = 1 / (Math.sqrt(b) + 1e-3);
@@ -294,57 +308,64 @@ class EyeFit {
     return found;
   }
 
-  /** How far an offset from the middle of a turned eyeball of a scale lacks to lie over it. */
-  private lack(x: number, y: number, z: number, turn: number[], scale: number, least: number): number {
+  /**
+   * Raise what offsets from the middle of a turned eyeball of a scale lack to lie over it.
+   * What lies as far above as no eyeball reaches is not looked up.
+   */
+  private raise(found: Float64Array, offsets: Float64Array, turn: Float64Array, scale: number, least: Float64Array): void {
     const { cells, reach } = this.tables;
-    const far = Math.sqrt(x * x + y * y + z * z);
-    const ahead = x * turn[2] + y * turn[5] + z * turn[8];
-    const flat = 1 / (far + Math.max(ahead, -0.5 * far));
+    const [xx, xy, xz, yx, yy, yz, zx, zy, zz] = turn;
     const cell = (cells - 1) / (2 * SIDE);
-    const u = Math.min(Math.max(((x * turn[0] + y * turn[3] + z * turn[6]) * flat + SIDE) * cell, 0), cells - 1.001);
-    const v = Math.min(Math.max(((x * turn[1] + y * turn[4] + z * turn[7]) * flat + SIDE) * cell, 0), cells - 1.001);
-    const column = Math.floor(u);
-    const row = Math.floor(v);
-    const s = u - column;
-    const t = v - row;
-    const at = row * cells + column;
-    const low = (1 - s) * reach[at] + s * reach[at + 1];
-    const high = (1 - s) * reach[at + cells] + s * reach[at + cells + 1];
-    return least + scale * ((1 - t) * low + t * high) - far;
+    const farthest = scale * this.farthest;
+    for (let index = 0, at = 0; index < found.length; index++, at += 3) {
+      const x = offsets[at];
+      const y = offsets[at + 1];
+      const z = offsets[at + 2];
+      const square = x * x + y * y + z * z;
+      const most = least[index] + farthest - found[index];
+      if (!(most > 0 && square < most * most)) continue;
+      const far = Math.sqrt(square);
+      const flat = 1 / (far + Math.max(x * xz + y * yz + z * zz, -0.5 * far));
+      const u = Math.min(Math.max(((x * xx + y * yx + z * zx) * flat + SIDE) * cell, 0), cells - 1.001);
+      const v = Math.min(Math.max(((x * xy + y * yy + z * zy) * flat + SIDE) * cell, 0), cells - 1.001);
+      const column = u | 0;
+      const row = v | 0;
+      const s = u - column;
+      const t = v - row;
+      const place = row * cells + column;
+      const low = (1 - s) * reach[place] + s * reach[place + 1];
+      const high = (1 - s) * reach[place + cells] + s * reach[place + cells + 1];
+      found[index] = Math.max(found[index], least[index] + scale * ((1 - t) * low + t * high) - far);
+    }
   }
 
-  private need(ways: Float64Array, turn: number[], least: number[]): Float64Array {
-    const { lids, centre, scale, tables } = this;
-    const found = new Float64Array(this.count);
-    for (let row = 0, at = 0; row < this.count; row++, at += 3) {
-      const x = lids[at] + ways[at] - centre[0];
-      const y = lids[at + 1] + ways[at + 1] - centre[1];
-      const z = lids[at + 2] + ways[at + 2] - centre[2];
-      found[row] = this.lack(x, y, z, turn, scale, least[tables.rings[row]]);
-    }
+  private need(ways: Float64Array, turn: Float64Array, least: Float64Array): Float64Array {
+    const { lids, centre } = this;
+    const found = new Float64Array(this.count).fill(-Infinity);
+    const offsets = ways.slice();
+    for (let i = 0; i < offsets.length; i++) offsets[i] += lids[i] - centre[i % 3];
+    this.raise(found, offsets, turn, this.scale, least);
     return found;
   }
 
-  /** The most that lids lack at an end of a slider. What lies as far above as no eyeball reaches is not looked up. */
-  private needAtEnds(ways: Float64Array, turn: number[]): Float64Array {
-    const { lids, centre, eye, tables, count } = this;
+  /** The most that lids lack at an end of a slider. */
+  private needAtEnds(ways: Float64Array, turn: Float64Array): Float64Array {
+    const { lids, centre, eye, tables, count, heights } = this;
     const found = new Float64Array(count).fill(NOTHING);
+    const offsets = new Float64Array(3 * count);
     for (let end = 0; end < 2 * tables.sliders; end++) {
       const [slider, sign] = [end >> 1, end & 1 ? 1 : -1];
       const [bx, by, bz, growth] = eye.balls.slice(4 * slider, 4 * slider + 4);
       const [up, stretch] = [eye.stretches[2 * slider], eye.stretches[2 * slider + 1]];
-      const scale = this.scale * (1 + sign * growth);
       for (let row = 0, at = 0, own = 3 * slider * count; row < count; row++, at += 3, own += 3) {
         const height = lids[at + 1] + ways[at + 1] + sign * eye.ends[own + 1];
-        const upper = eye.shares[row] * (up + stretch * (height - this.heights[0]));
-        const lower = eye.shares[count + row] * (up + stretch * (height - this.heights[1]));
-        const x = lids[at] + ways[at] + sign * (eye.ends[own] - bx) - centre[0];
-        const y = height + sign * (upper + lower - by) - centre[1];
-        const z = lids[at + 2] + ways[at + 2] + sign * (eye.ends[own + 2] - bz) - centre[2];
-        const least = OVER_AT_ENDS[tables.rings[row]];
-        const far = least + scale * this.farthest - found[row];
-        if (far > 0 && x * x + y * y + z * z < far * far) found[row] = Math.max(found[row], this.lack(x, y, z, turn, scale, least));
+        const upper = eye.shares[row] * (up + stretch * (height - heights[0]));
+        const lower = eye.shares[count + row] * (up + stretch * (height - heights[1]));
+        offsets[at] = lids[at] + ways[at] + sign * (eye.ends[own] - bx) - centre[0];
+        offsets[at + 1] = height + sign * (upper + lower - by) - centre[1];
+        offsets[at + 2] = lids[at + 2] + ways[at + 2] + sign * (eye.ends[own + 2] - bz) - centre[2];
       }
+      this.raise(found, offsets, turn, this.scale * (1 + sign * growth), this.overAtEnds);
     }
     return found;
   }
@@ -353,14 +374,15 @@ class EyeFit {
   private spread(need: Float64Array): Float64Array {
     const { beside, links } = this.tables;
     const least = need.map((one) => SOFT * soft(one / SOFT));
-    let push = least;
+    let [push, before] = [least.slice(), new Float64Array(need.length)];
     for (let round = 0; round < ROUNDS; round++) {
-      const before = push;
-      push = least.map((one, row) => {
+      [push, before] = [before, push];
+      for (let row = 0; row < push.length; row++) {
+        const near = beside[row];
         let sum = 0;
-        for (const near of beside[row]) sum += before[near];
-        return Math.max(one, sum / links[row]);
-      });
+        for (let i = 0; i < near.length; i++) sum += before[near[i]];
+        push[row] = Math.max(least[row], sum / links[row]);
+      }
     }
     return push;
   }
@@ -389,9 +411,9 @@ function spreadOf(rows: number[], of: (row: number, axis: number) => number): { 
 }
 
 /** A rotation about x and one about y, row by row; one of the angles is 0. */
-function turned(x: number, y: number): number[] {
+function turned(x: number, y: number): Float64Array {
   const [a, b, c, d] = [Math.cos(x), Math.sin(x), Math.cos(y), Math.sin(y)];
-  return [c, 0, d, b * d, a, -b * c, -a * d, b, a * c];
+  return Float64Array.of(c, 0, d, b * d, a, -b * c, -a * d, b, a * c);
 }
 
 function larger(one: Float64Array, other: Float64Array): Float64Array {

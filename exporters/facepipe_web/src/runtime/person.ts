@@ -166,7 +166,7 @@ function checkedRig(data: Uint8Array, where: string): PersonRig {
 }
 
 const BLOCK = 4096; // numbers of a sum that stay in the cache
-const ABREAST = 4; // modes that are added at once, in half of the time that one by one takes
+const ABREAST = 8; // modes that are added at once, in less than half of the time that one by one takes
 
 /** `mean + sum_k w_k modes_k` */
 function shaped({ mean, modes, step }: Basis, weights: number[]): Float64Array {
@@ -181,8 +181,8 @@ function shaped({ mean, modes, step }: Basis, weights: number[]): Float64Array {
   return points;
 }
 
-function add(points: Float64Array, start: number, end: number, [a, b, c, d]: Int16Array[], [p, q, r, s]: number[]): void {
-  for (let i = start; i < end; i++) points[i] += p * a[i] + q * b[i] + r * c[i] + s * d[i];
+function add(points: Float64Array, start: number, end: number, [a, b, c, d, e, f, g, h]: Int16Array[], [p, q, r, s, t, u, v, w]: number[]): void {
+  for (let i = start; i < end; i++) points[i] += p * a[i] + q * b[i] + r * c[i] + s * d[i] + t * e[i] + u * f[i] + v * g[i] + w * h[i];
 }
 
 function interleaved(planes: Float64Array, count: number): Float64Array {
