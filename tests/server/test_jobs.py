@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -94,3 +97,21 @@ def test_a_file_for_a_job_is_read_as_what_it_is(client: httpx.Client, heads: lis
     job = done(client, "animate", fields, face=face)
     assert (job["face"], job["version"]) == (face, 2)
     assert client.get(f"/api/v1/faces/{face}").json()["versions"][1]["made_by"] == "animate"
+
+
+@pytest.mark.skipif(not hasattr(os, "nice"), reason="Windows has priorities of its own")
+@pytest.mark.parametrize(("line", "behind"), [(["take", "no.usdc", "out"], True), (["find", "no.png", "out"], False)])
+def test_jobs_give_way_to_what_somebody_waits_for(line: list[str], behind: bool) -> None:
+    script = """
+import os, sys
+from facepipe.server.program import read_line
+before = os.nice(0)
+for _ in range(2):
+    try:
+        read_line(sys.argv[1:]).run()
+    except Exception as error:
+        assert "no." in str(error), error
+print(os.nice(0) - before)
+"""
+    done = subprocess.run([sys.executable, "-c", script, *line], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == (max(10 - os.nice(0), 0) if behind else 0)
