@@ -171,7 +171,9 @@ def _within_bytes(basis: Basis, off: FloatArray, most: int) -> tuple[bytes, Floa
         return float(apart @ weights + _LARGEST * apart[care == 1.0].max(initial=0.0))
 
     best, nearest, step = (b"", None), score(off), _FIRST
-    for coarse in range(min(middle + 1, len(sizes) - 1), -1, -1):
+    last = len(sizes) - 1
+    # all points in large steps first: of somebody's lips alone, which modes leave 4.5 mm off, 130 bytes bring it to 0.4
+    for coarse in sorted({last, *range(min(middle + 2, last + 1))}, reverse=True):
         low, high, before = _FINEST, _COARSEST, nearest
         for _ in range(_TRIES):
             data, got = basis.levels.encode(off, step, coarse, care)
