@@ -168,6 +168,14 @@ async def add_photo(
     return models.Uploaded(artefact=await _taken(request, tenant, server, PHOTO, "photo", consent))
 
 
+@router.delete("/photos/{photo}", summary="Delete a photo that no job waits for", status_code=204, response_model=None)
+def delete_photo(
+    photo: Annotated[models.Id, Path(description="id of a photo")], tenant: Tenant, server: Server
+) -> None:
+    """At once, also where photos are kept after their jobs."""
+    server.uploads.discard(tenant, photo)
+
+
 @router.get("/photos/{photo}/landmarks", summary="Where the landmarks of the face in a photo are")
 async def find_landmarks(
     photo: Annotated[models.Id, Path(description="id of a photo")], tenant: Tenant, server: Server

@@ -1,7 +1,7 @@
 """Files that wait for a job, below ``uploads/ID/`` on the machine that took them; nothing else reads them.
 
 Photos never reach a store, whose older versions could outlive them. All go with the job that uses them, or after an
-hour.
+hour; a photo that is not used after all when its owner says so.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import sqlalchemy as sa
 from facepipe.core.errors import InputError
 from facepipe.server.jobs import QUEUED, RUNNING
 from facepipe.server.library import new_id
-from facepipe.server.refusals import MissingError
+from facepipe.server.refusals import ConflictError, MissingError
 from facepipe.server.tables import CONSENTS, JOB_UPLOADS, JOBS, UPLOADS, Database
 
 PHOTO, FILE, FACE = "photo", "file", "face"
@@ -74,18 +74,38 @@ class Uploads:
         with self._database.read() as rows:
             own = UPLOADS.c.id == upload, UPLOADS.c.tenant == tenant
             main = rows.scalar(sa.select(UPLOADS.c.main).where(*own))
-        if main is None or not (self._folder / upload).is_dir():
+        place = self._folder / upload
+        if main is None or not place.is_dir():
             raise MissingError(upload, "no such upload")
-        shutil.copytree(self._folder / upload, folder / upload)
+        try:
+            shutil.copytree(place, folder / upload)
+        except OSError as error:
+            if place.is_dir():
+                raise
+            raise MissingError(upload, "no such upload") from error  # discarded meanwhile
         return folder / upload / str(main)
+
+    def discard(self, tenant: str, photo: str) -> None:
+        """Remove a photo, even where photos stay: it was never used, or its owner wants it gone.
+
+        :raises MissingError: no such photo
+        :raises ConflictError: a job waits for it
+        """
+        with self._database.write() as rows:
+            own = UPLOADS.c.id == photo, UPLOADS.c.tenant == tenant, UPLOADS.c.kind == PHOTO
+            if rows.scalar(sa.select(UPLOADS.c.server).where(*own)) != self._server:
+                raise MissingError(photo, "no such photo")
+            if rows.scalar(_needed().where(JOB_UPLOADS.c.upload == photo)) is not None:
+                raise ConflictError(photo, "a job uses it, which deletes it; expected that to be cancelled before")
+            rows.execute(UPLOADS.delete().where(*own))  # in the same transaction: no job can ask for it in between
+        self._remove([photo])
 
     def end(self, job: str) -> None:
         """Remove what a job that has ended used, unless another waits for it."""
         with self._database.read() as rows:
             used = sa.select(UPLOADS.c.id, UPLOADS.c.kind).join(JOB_UPLOADS, JOB_UPLOADS.c.upload == UPLOADS.c.id)
             found = rows.execute(used.where(JOB_UPLOADS.c.job == job)).all()
-            waits = sa.select(JOB_UPLOADS.c.upload).join(JOBS, JOBS.c.id == JOB_UPLOADS.c.job)
-            needed = set(rows.scalars(waits.where(JOBS.c.state.in_((QUEUED, RUNNING)))))
+            needed = set(rows.scalars(_needed()))
         kept = PHOTO if self._retain else None
         self._remove([one.id for one in found if one.id not in needed and one.kind != kept])
 
@@ -93,9 +113,7 @@ class Uploads:
         """Remove what is too old, unless a job waits for it, and what has no row: its upload was broken off."""
         late = time.time() - KEPT
         with self._database.read() as rows:
-            waits = sa.select(JOB_UPLOADS.c.upload).join(JOBS, JOBS.c.id == JOB_UPLOADS.c.job)
-            needed = waits.where(JOBS.c.state.in_((QUEUED, RUNNING)))
-            old = sa.select(UPLOADS.c.id).where(UPLOADS.c.created < late, UPLOADS.c.id.not_in(needed))
+            old = sa.select(UPLOADS.c.id).where(UPLOADS.c.created < late, UPLOADS.c.id.not_in(_needed()))
             kinds = (UPLOADS.c.kind != PHOTO,) if self._retain else ()
             ids = list(rows.scalars(old.where(UPLOADS.c.server == self._server, *kinds)))
             known = set(rows.scalars(sa.select(UPLOADS.c.id)))
@@ -116,3 +134,9 @@ class Uploads:
             with self._database.write() as rows:
                 rows.execute(UPLOADS.delete().where(UPLOADS.c.id.in_(ids)))
             self._database.forget()
+
+
+def _needed() -> sa.Select[tuple[str]]:
+    """The uploads that jobs wait for."""
+    waits = sa.select(JOB_UPLOADS.c.upload).join(JOBS, JOBS.c.id == JOB_UPLOADS.c.job)
+    return waits.where(JOBS.c.state.in_((QUEUED, RUNNING)))

@@ -94,6 +94,31 @@ def test_a_photo_that_is_kept_on_purpose_stays(serve: Serve, heads: list[Path], 
     assert found(served, MARK) == ["photo.png"]
 
 
+@pytest.mark.parametrize("retain", [(), ("--retain",)])
+def test_a_photo_that_is_not_used_after_all_is_deleted_at_once(
+    retain: tuple[str, ...], serve: Serve, heads: list[Path], photo: bytes
+) -> None:
+    """Only by whom it is of, and not under a job that waits for it."""
+    served = serve("--processes", "1", *retain)
+    client, sent = served.client, sent_photo(served, photo)
+    assert client.get(f"/api/v1/photos/{sent}/landmarks").status_code != 404
+    assert client.delete(f"/api/v1/photos/{sent}").status_code == 204
+    assert found(served, MARK, *needles(photo)) == []
+    assert client.delete(f"/api/v1/photos/{sent}").status_code == 404
+    file = client.post("/api/v1/files", params={"suffix": ".json"}, content=b"{}").json()["artefact"]
+    assert client.delete(f"/api/v1/photos/{file}").status_code == 404  # a job may have it next
+    face, other = kept(client, heads[0]), kept(client, heads[1])
+    busy = [client.post("/api/v1/jobs", json=_blend(face, other)).json()["id"] for _ in range(3)]
+    again = sent_photo(served, photo)
+    fields = {"face": {"face": face}, "map": again, "legend": file}
+    job = client.post("/api/v1/jobs", json={"action": "regions", "fields": fields, "face": face}).json()["id"]
+    refused = client.delete(f"/api/v1/photos/{again}")
+    assert refused.status_code == 409, refused.text
+    for one in (*busy, job):
+        client.delete(f"/api/v1/jobs/{one}")
+    assert ended(client, job)["state"] in ("cancelled", "failed")
+
+
 def test_no_consent_no_photo(served_once: Served, photo: bytes) -> None:
     assert served_once.client.post("/api/v1/photos", content=photo).status_code == 422
     answer = served_once.client.post("/api/v1/photos", content=b"no photo", headers={"X-Facepipe-Consent": "1"})

@@ -18,7 +18,7 @@ from command_line import exit_code
 from faces import tiny_face
 from import_data import shared
 from PIL import Image
-from served import Served, ended, kept, saved
+from served import Serve, Served, ended, kept, saved
 from slider_faces import sample_with_sliders
 
 import facepipe
@@ -297,6 +297,19 @@ def test_regions_are_written_painted_and_read_back(shared_server: Served, tmp_pa
     assert (found == shares.argmax(axis=0))[sure].mean() > 0.99
 
 
+# answers about photos that were sent come when the page is told so
+HELD_PHOTOS = """
+  const plain = window.fetch;
+  let release;
+  window.held = new Promise((done) => (release = done));
+  Object.assign(window, { release, sent: [], gone: [] });
+  window.fetch = async (input, init = {}) => {
+    const answer = await plain(input, init), photo = /photos\\/?(\\w*)$/.exec(String(input));
+    if (photo && init.method === "POST") window.sent.push((await answer.clone().json()).artefact), await window.held;
+    if (photo && init.method === "DELETE") window.gone.push(photo[1]);
+    return answer;
+  };
+"""
 # pictures of faces are asked for once one is gone, as where it is deleted while they are drawn
 LATE_PICTURES = """
   const plain = window.fetch;
@@ -333,6 +346,39 @@ def test_a_dropped_file_is_in_the_library_and_can_be_deleted(shared_server: Serv
     assert problems == []
     assert results[-1] is True
     assert shared_server.client.get(f"/api/v1/faces/{results[3]}").status_code == 404
+
+
+@pytest.mark.needs_torch
+def test_a_photo_that_another_takes_the_place_of_is_deleted(serve: Serve, tmp_path: Path) -> None:
+    """Also one that was still on its way, and it is the new one whose face is looked for."""
+    browser.chromium()
+    served = serve("--processes", "1")
+    photos = [tmp_path / f"{number}.png" for number in range(3)]
+    with Image.open(shared("photos/astronaut.png")) as picture:
+        for number, path in enumerate(photos):
+            picture.convert("RGB").resize((400 + number, 400)).save(path)
+    choose = "#panel input[type=file] >> nth=1"
+    results, problems = browse(
+        f"{served.url}studio.html#photo",
+        READY,
+        {"upload": [choose, str(photos[0])]},
+        {"click": "#agreed"},
+        {"click": "text=Find the face"},
+        when("window.sent.length === 1"),
+        {"upload": [choose, str(photos[1])]},
+        {"click": "text=Find the face"},
+        when("window.sent.length === 2"),
+        {"run": "window.release()"},
+        when("document.body.dataset.landmarks"),
+        {"upload": [choose, str(photos[2])]},
+        when("window.gone.length === 2"),
+        {"run": "[window.sent, window.gone]"},
+        before=HELD_PHOTOS,
+    )
+    assert problems == []
+    sent, gone = results[-1]
+    assert sent == gone
+    assert not list((served.folder / "uploads").glob("*/photo*"))
 
 
 @pytest.mark.needs_torch

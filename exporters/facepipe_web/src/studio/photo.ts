@@ -18,7 +18,7 @@ const PHOTOS = "image/jpeg,image/png,image/webp,image/heic";
 export class Photo implements Part {
   readonly title = "Photo";
   private photo: File | null = null;
-  private sent: string | null = null; // its id, until a job has used it
+  private sent: Promise<string> | null = null; // its id, until a job has used it
   private face: Face | null = null;
   private found: Landmarks | null = null;
   private editor: LandmarkEditor | null = null;
@@ -88,6 +88,7 @@ export class Photo implements Part {
   }
 
   private forget(): void {
+    this.sent?.then((id) => ask(`photos/${id}`, { method: "DELETE" })).catch(() => undefined); // an hour deletes it too
     URL.revokeObjectURL(this.preview.src);
     this.preview.removeAttribute("src");
     this.preview.hidden = this.marks.hidden = this.result.hidden = true;
@@ -100,10 +101,13 @@ export class Photo implements Part {
   }
 
   /** Send the photo, unless the server still has it. */
-  private async send(photo: File): Promise<string> {
+  private send(photo: File): Promise<string> {
+    if (this.sent) return this.sent;
     const headers = { "Content-Type": photo.type || "application/octet-stream", "X-Facepipe-Consent": CONSENT };
-    this.sent ??= ((await (await ask("photos", { method: "POST", headers, body: photo })).json()) as { artefact: string }).artefact;
-    return this.sent;
+    const posted = async () => ((await (await ask("photos", { method: "POST", headers, body: photo })).json()) as { artefact: string }).artefact;
+    const sent = (this.sent = posted());
+    sent.catch(() => this.sent === sent && (this.sent = null)); // to be sent again
+    return sent;
   }
 
   /** Find the landmarks, to be looked at before the fit. */
@@ -114,7 +118,9 @@ export class Photo implements Part {
     this.studio.page(null);
     this.studio.bench.say("Looking for the face …");
     try {
-      const found = await get<Landmarks>(`photos/${await this.send(photo)}/landmarks`);
+      const sent = await this.send(photo);
+      if (photo !== this.photo) return;
+      const found = await get<Landmarks>(`photos/${sent}/landmarks`);
       if (photo !== this.photo) return;
       this.found = found;
       this.history = new History<Landmarks | null>(found, () => this.undo.update());
@@ -128,9 +134,9 @@ export class Photo implements Part {
       if (this.shown) await this.show();
       document.body.dataset.landmarks = "found";
     } catch (error) {
-      sayError(error);
+      if (photo === this.photo) sayError(error);
     } finally {
-      this.studio.bench.say(null);
+      if (photo === this.photo) this.studio.bench.say(null);
       this.update();
     }
   }
@@ -142,6 +148,7 @@ export class Photo implements Part {
     const drawn = h("img", { class: "shot", alt: "The fit so far", hidden: true });
     try {
       const photos = [await this.send(photo)];
+      if (photo !== this.photo) return;
       // the server's own landmarks come with more than these 68: they are sent where somebody knew better
       const landmarks = this.history.canUndo ? [await sendFile(new Blob([JSON.stringify(this.found)]), ".json")] : [];
       const name = photo.name.replace(/\.\w+$/, "") || "Photo";
@@ -153,6 +160,7 @@ export class Photo implements Part {
         document.body.dataset.preview = "shown";
         if (this.shown && !drawn.isConnected) this.studio.page(drawn);
       });
+      if (photo !== this.photo) return; // that of the photo before is in the library
       if (!job?.face) return await this.show();
       this.face = await get<Face>(`faces/${job.face}`);
       this.fill(this.face);
