@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import secrets
 import sqlite3
 import time
@@ -32,8 +34,14 @@ def needles(content: bytes) -> list[bytes]:
 
 def found(served: Served, *needles: bytes) -> list[str]:
     """Where one of some pieces is, of all that a server has written."""
-    files = [path for path in served.folder.rglob("*") if path.is_file()] + [served.log]
-    return [path.name for path in files if any(one in path.read_bytes() for one in needles)]
+    files = [Path(folder, name) for folder, _, names in os.walk(served.folder) for name in names]
+    places = []
+    for path in (*files, served.log):
+        with contextlib.suppress(FileNotFoundError):  # some go while they are looked at
+            content = path.read_bytes()
+            if any(one in content for one in needles):
+                places.append(path.name)
+    return places
 
 
 @pytest.fixture
