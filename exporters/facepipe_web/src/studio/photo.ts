@@ -158,7 +158,7 @@ export class Photo implements Part {
         drawn.src = url;
         drawn.hidden = false;
         document.body.dataset.preview = "shown";
-        if (this.shown && !drawn.isConnected) this.studio.page(drawn);
+        if (this.shown && photo === this.photo && !drawn.isConnected) this.studio.page(drawn);
       });
       if (photo !== this.photo) return; // that of the photo before is in the library
       if (!job?.face) return await this.show();
