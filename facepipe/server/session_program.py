@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 LENGTHS = struct.Struct("<II")
 _PAUSE = 0.15  # seconds that weights rest before they are settled, which takes as long and is lost if they move again
+_BEHIND = 10  # niceness of the thread that settles: quick answers of all sessions go first where cores are few
 _FARTHEST = 6e4  # millimetres that float16 holds
 _SWITCH = 5e-4  # seconds after which an answer takes its turn from settling; Python's 5 ms would add up to 40
 
@@ -80,6 +81,8 @@ class Blend:
         return offset_bytes(offsets)
 
     def _settle(self) -> None:
+        if sys.platform == "linux":  # elsewhere a thread has no niceness of its own
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), max(os.nice(0), _BEHIND))
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._resting is not None)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import struct
+import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +16,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+import psutil
 import pytest
 from command_line import exit_code
 from served import Served, done, kept, saved
@@ -97,6 +100,22 @@ def test_weights_that_are_dragged_are_what_is_saved_and_cooked(
     content = stage.read_bytes()
     assert exit_code("cook", stage, "--force", "--root", tmp_path) == 0
     assert stage.read_bytes() == content
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no niceness of their own there")
+def test_what_settles_gives_way_to_quick_answers(shared_server: Served, faces: list[str]) -> None:
+    with editing(shared_server, blend_of(faces)) as page:
+        told(page)
+        page.send(json.dumps({"n": 1, "weights": WEIGHTS}))
+        moved(page)
+        sessions = [
+            one
+            for one in psutil.Process(shared_server.process.pid).children()
+            if "facepipe.server.session_program" in one.cmdline()
+        ]
+        threads = [[os.getpriority(os.PRIO_PROCESS, one.id) for one in session.threads()] for session in sessions]
+    own = os.getpriority(os.PRIO_PROCESS, shared_server.process.pid)
+    assert (own, max(own, 10)) in [(min(of), max(of)) for of in threads]
 
 
 def test_of_weights_that_come_at_once_the_newest_is_answered(shared_server: Served, faces: list[str]) -> None:
