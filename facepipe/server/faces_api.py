@@ -37,6 +37,7 @@ _TYPES = {
 }
 _PHOTOS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"RIFF": ".webp", b"ftyp": ".heic"}
 BINARY: Any = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+_FILES: Any = {kind: {"schema": {}} for kind in ("application/octet-stream", *_TYPES.values())}
 _PIECE = 1 << 18  # bytes
 _MOST_FILES, _MOST_FIELD = 200, 1000  # of a form, and bytes of a field that is no file
 _SUFFIX = r"^\.[A-Za-z0-9]{1,10}$"
@@ -267,7 +268,7 @@ What = Literal[
     "/faces/{face}/versions/{number}/{what}",
     summary="A file of a version",
     response_class=StreamingResponse,
-    responses={200: {"description": "the file", **BINARY}, 304: {"description": "it is what the caller has"}},
+    responses={200: {"description": "the file", "content": _FILES}, 304: {"description": "it is what the caller has"}},
 )
 async def get_file(
     face: FaceId,

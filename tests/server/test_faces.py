@@ -57,6 +57,16 @@ def test_files_of_a_version_are_those_of_their_formats_and_stay_the_same(
     assert client.get(f"/api/v1/faces/{face}/versions/2/face.glb").status_code == 404
 
 
+def test_files_are_of_the_types_that_the_api_names(client: httpx.Client, heads: list[Path]) -> None:
+    url = f"/api/v1/faces/{kept(client, heads[1])}/versions/1"
+    paths = client.get("/api/v1/openapi.json").json()["paths"]
+    named = paths["/api/v1/faces/{face}/versions/{number}/{what}"]["get"]["responses"]["200"]["content"]
+    for name in ("face.glb", "thumbnail.png", "details.json", "face.usdc", "face.usdz", "regions.bin"):
+        answer = client.get(f"{url}/{name}")
+        assert answer.status_code == 200
+        assert answer.headers["content-type"] in named, name
+
+
 def test_a_blend_cooks_to_the_same_bytes_from_the_export(
     client: httpx.Client, heads: list[Path], tmp_path: Path
 ) -> None:
